@@ -49,6 +49,7 @@ ROUND = (
     'Step of all free lengths, such as "0.1 mm", or NAME=STEP, or a stock of sizes, NAME=["50 mm", "60 mm"]; repeatable. '
     "The design has such sizes, and is validated with them."
 )
+ALL = "List all exact solutions of five poses, timed points or points of a function of a four-bar, each with what excludes it."
 DETAILS = "Print all checks, tables and times too; JSON and page always have them. A failed check is always printed."
 
 
@@ -67,6 +68,7 @@ def solve(
     workers: Annotated[int | None, number(WORKERS, "--workers")] = None,
     scheduler: Scheduler = None,
     rounding: Annotated[list[str] | None, option("STEP", ROUND, "--round")] = None,
+    every: Annotated[bool, flag(ALL, "--all")] = False,
     changes: Set = None,
     design: Design = None,
     details: Annotated[bool, flag(DETAILS, "--details")] = False,
@@ -82,7 +84,7 @@ def solve(
     where: dict[str, object] = {"--engine": engine, "--workers": workers, "--scheduler": scheduler}
     if design:
         console.refuse(
-            {"--certify": certify, "--round": " ".join(rounding) if rounding else None} | limits | where,
+            {"--all": every, "--certify": certify, "--round": " ".join(rounding) if rounding else None} | limits | where,
             "a given design is validated, not optimised",
             "Leave it out",
         )
@@ -92,6 +94,18 @@ def solve(
     from optlink.tasks.run import design_task, solve as search
 
     file = console.load(problem, changes)
+    if every:
+        from optlink.tasks.exact import exact
+
+        searched = {
+            "--certify": certify,
+            "--round": " ".join(rounding) if rounding else None,
+            "--starts": starts,
+            "--designs": designs,
+        }
+        console.refuse(searched | limits | where, "exact solutions are listed without a search", "Leave it out", file.file)
+        console.deliver(exact(file), as_json, out)
+        return
     if not (_automatic(file) if certify is None else certify):
         task = design_task(file)
         remedy = "Add --certify, or leave it out" if certify is None and task.certifies(file) else "Leave it out"

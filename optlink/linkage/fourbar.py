@@ -300,6 +300,11 @@ def reachable(crank: float, coupler: float, rocker: float, frame: float) -> list
     constant = crank * crank + frame * frame
     highest = (constant - (coupler - rocker) ** 2) / denominator  # cos phi must stay below: B too close to D beyond
     lowest = (constant - (coupler + rocker) ** 2) / denominator  # and above: B too far from D
+    return cosine_ranges(lowest, highest)
+
+
+def cosine_ranges(lowest: float, highest: float) -> list[tuple[float, float]]:
+    """Return the ranges of angle [rad] whose cosines lie between two values; see `reachable`."""
     if lowest >= 1.0 or highest <= -1.0:  # at equality a single position, which is no range
         return []
     near = float(np.arccos(highest)) if highest < 1.0 else 0.0

@@ -30,10 +30,12 @@ from optlink.solvers.infeasibility import Explanation, Follow, explain, feasible
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Exploration, Searcher
 from optlink.synthesis.freudenstein import FirstStep
+from optlink.tasks.exact import FiveTargets, applies
 from optlink.tasks.protocol import DesignTask, Progress, Search, Timer, agreement, completed, part
 from optlink.tasks.results.common import INCOMPLETE
 from optlink.tasks.results.conflict import cannot_turn, margin_notes
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
+from optlink.tasks.results.exact import ExactSolutions
 from optlink.tasks.search import (
     DesignCollection,
     Polisher,
@@ -128,6 +130,7 @@ class SynthesisTask(DesignTask[SynthesisResult]):
             backends={search.backend: best.solution} if best is not None and best.solution and not task.parts else {},
             optima=collection.optima() if search.begin is None else (),
             first_step=rounds.first_step,
+            exact_solutions=rounds.exact_solutions,
         )
 
     def grids(self, problem: ProblemFile, rounding: object) -> dict[str, Any]:
@@ -203,6 +206,8 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
     collection = rounds.collection
     best, coverage = next(iter(collection.designs), None), collection.evidence()
     yield from filter(None, [task.target_points.note])
+    if rounds.exact_solutions is not None:
+        yield rounds.exact_solutions.sentence
     yield from rounds.notes
     if rounds.better is not None and not collection.no_worse(rounds.better):
         error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
@@ -320,6 +325,7 @@ class SearchRounds:
         self.exploration = Exploration()
         self.given = 0  # starts that are not random
         self.first_step: FirstStep | None = None
+        self.exact_solutions: ExactSolutions | None = None
         self.notes: list[str] = []
         self.sampled: dict[int, OrderedStarts] = {}  # random designs of each assembly mode, if there are no targets
         self.better: LinkageDesign | None = None  # the best four-bar, if no linkage that repeats its curve satisfies all limits
@@ -369,7 +375,7 @@ class SearchRounds:
             self.interrupted = True
 
     def _given(self) -> None:
-        """Refine the starts that are not random: `begin` alone, or convex first designs and the start of the file.
+        """Refine the starts that are not random: `begin` alone, or exact solutions, convex first designs and that of the file.
 
         The middle of all bounds is no start for points and poses: batched random ones are better. Without targets, from which
         batches lead to candidates, random designs are refined by themselves.
@@ -378,6 +384,12 @@ class SearchRounds:
         if not self.task.parts:
             self._sampled()
             return
+        if begin is None and applies(self.task):
+            targets = FiveTargets(self.files)
+            self.exact_solutions = targets.summary
+            for variant, design in targets.usable:
+                self.collection.take(polisher.from_values(variant, design.values, design.crank_angles, close=True))
+                self.given += 1
         for variant, file in enumerate(self.files):
             task = file.spec
             starts: list[tuple[Mapping[str, float], bool]] = [({} if begin is None else begin, False)]
@@ -580,7 +592,8 @@ class SearchRounds:
     def _enough(self, exact: int) -> bool:
         """Return whether to stop; `exact` is the number of exact designs before the latest round."""
         rounds, collection = self.exploration.rounds, self.collection
-        if rounds >= self._most or self._met:
+        listed = self.exact_solutions is not None and self.exact_solutions.complete and collection.exact > 0
+        if rounds >= self._most or self._met or listed:
             return True
         if collection.exact:
             often = collection.evidence().hits >= STARTS_PER_EXACT * collection.exact

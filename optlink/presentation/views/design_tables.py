@@ -11,7 +11,7 @@ from optlink.linkage.dyads import transmitting
 from optlink.linkage.roberts import Cognate, CouplerLinkage
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.format import change, dimension, figure, fixed, number, precise, pretty, si, significant
-from optlink.presentation.table_spec import Line, Row, Summary, TableSpec, bad, noted, quiet, strong, summary, table
+from optlink.presentation.table_spec import Line, Row, Summary, TableSpec, bad, good, noted, quiet, strong, summary, table
 from optlink.presentation.views.search_tables import (
     NEAREST_DESIGN,
     certificate_lines,
@@ -20,12 +20,13 @@ from optlink.presentation.views.search_tables import (
     conflict,
     dimension_rows,
     effort,
+    exact_solutions,
     optima,
     refuted_first,
     search_summary,
 )
 from optlink.tasks.machine import turning_machine
-from optlink.tasks.results.design import LinkageDesign, SynthesisResult
+from optlink.tasks.results.design import NO_SEARCH, LinkageDesign, SynthesisResult
 from optlink.tasks.results.fit import PathFit
 from optlink.units import DISPLAYED
 
@@ -304,6 +305,10 @@ def design_result(outcome: SynthesisResult) -> Summary:
     from optlink.presentation.views.analysis_tables import machine_strokes
 
     model, best, count = outcome.problem.model, outcome.best, len(outcome.designs)
+    if outcome.exact_solutions is not None and outcome.backend == NO_SEARCH:
+        words = outcome.exact_solutions.sentence
+        verdict = good(words) if outcome.designs else bad(words)
+        return summary(model.title, [verdict], exact_solutions(outcome), None if best is None else _sizes(outcome, best))
     if best is None:
         proof = outcome.certificate
         certificate = None if proof is None else certificate_table(proof, model.shown_objective, outcome.seconds)
@@ -311,7 +316,7 @@ def design_result(outcome: SynthesisResult) -> Summary:
         reason: list[Line] = [*noted(outcome.notes)] or ([] if certified(proof) else [quiet(remark)])
         status: list[Line] = [*refuted_first(outcome), bad("no linkage found"), *reason, *certificate_lines(proof)]
         opposed = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
-        return summary(model.title, status, opposed, certificate, effort(outcome))
+        return summary(model.title, status, exact_solutions(outcome), opposed, certificate, effort(outcome))
     machine, alone = turning_machine(best.problem, best.values), best.whole.of_cycle
     strokes = None if machine is None else machine_strokes(machine, best.rotation[1])
     distinct = f"{count} distinct designs verified" if count > 1 else ""
@@ -321,6 +326,7 @@ def design_result(outcome: SynthesisResult) -> Summary:
         None if alone or not math.isfinite(best.objective) else _figures(outcome, best),
         (_compared_figures(best) if alone else None, strokes, *(words_of(part).targets(part) for part in best.parts)),
         (
+            exact_solutions(outcome),
             optima(outcome),
             _alternatives(outcome.designs) if count > 1 else None,
             _cognates(outcome, best) if best.cognates else None,

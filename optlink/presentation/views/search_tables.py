@@ -47,6 +47,7 @@ from optlink.solvers.solution import LimitState, Relaxation
 from optlink.tasks.results.certificate import MOST_DRAWN, Certificate, Cover, share_text
 from optlink.tasks.results.common import Evidence
 from optlink.tasks.results.conflict import OpposedLimit, opposed_limits, outward
+from optlink.tasks.results.exact import DEFECTS
 from optlink.tasks.results.fit import Fit
 from optlink.tasks.results.rounding import Rounding
 from optlink.units import percent
@@ -517,6 +518,24 @@ def optima(outcome: SynthesisResult) -> TableSpec | None:
     note = f"starts: of all {outcome.starts} starting points, random and given{others}"
     notes = [quiet(note)] if outcome.starts > 1 and left >= 0 else []
     return table("Distinct optima", columns, rows, appendix=True, notes=notes)
+
+
+def exact_solutions(outcome: SynthesisResult) -> TableSpec | None:
+    """Tabulate all linkages that meet five targets: usable ones with their dimensions, the others with the reason."""
+    found = outcome.exact_solutions
+    if found is None or not found.solutions:
+        return None
+    model, rows = outcome.problem.model, list[Row]()
+    names = [name for name in model.free if model.quantities[name].kind == "length"][:MAX_VARIABLES]
+    for k, one in enumerate(found.solutions, start=1):
+        sizes = [number(one.values[name] * model.display(name)[0], 4) for name in names]
+        angle = fixed(math.degrees(one.transmission), 1)
+        rows.append((str(k), *sizes, angle, Span(", ".join(one.reasons[:2])) if one.reasons else good("usable")))
+    columns = [">", *(f">{name}" for name in names), ">angle", "usable, or why not"]
+    units = joined(sorted({model.display(name)[1] for name in names}))
+    notes = [f"sizes in {units}; transmission angle from 0 or 180 deg: least over the motion if usable, else at the targets"]
+    notes += [f"{name}: {words}" for name, words in DEFECTS.items() if any(name in one.reasons for one in found.solutions)]
+    return table("All exact solutions", columns, rows, notes=map(quiet, notes))
 
 
 def backends(outcome: SynthesisResult) -> TableSpec:

@@ -43,6 +43,7 @@ from optlink.tasks.results.common import (
     verified,
 )
 from optlink.tasks.results.conflict import refutation
+from optlink.tasks.results.exact import ExactSolutions
 from optlink.tasks.results.fit import FINE, Fit, fit, transmission_fit
 from optlink.tasks.results.rounding import Rounding
 from optlink.tasks.results.strokes import stroke_document
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from optlink.validation.cycle import Cycle
 
 ALONG = 2001  # positions along the span at which alternations are counted
+NO_SEARCH = "none"  # back end of designs that were given, or follow from equations
 DISTINCT = 1e-2  # least relative difference of two distinct designs
 NO_ANGLE = 1e-9  # rad; rounding errors of an angle that is zero, or -180 deg
 EXTREME_SHARE = 0.99  # fraction of the largest error that counts as an extreme value
@@ -548,7 +550,7 @@ class SynthesisResult(Document):
     """Result of the search of a linkage: validated designs, best first; or the nearest invalid one and the reason.
 
     `evidence`: None without random starts. `first_step`: the best convex first design of a function. `optima`: the optima at
-    which the local searches of a law ended, best first.
+    which the local searches of a law ended, best first. `exact_solutions`: all linkages that meet five targets, usable or not.
     """
 
     kind = "design"
@@ -566,6 +568,9 @@ class SynthesisResult(Document):
         "first_step?": lambda result: result.first_step and vars(result.first_step) | {"gap": result.first_step.gap},
         **FOUND,
         "optima?": lambda result: [result.shown_optimum(optimum) for optimum in result.optima] or None,
+        "exact_solutions?": lambda result: (
+            result.exact_solutions and result.exact_solutions.document(result.definite.model.displayed)
+        ),
         "nearest_miss": lambda result: None if result.designs else result.nearest,
     }
 
@@ -587,6 +592,7 @@ class SynthesisResult(Document):
     optima: tuple[Optimum, ...] = ()
     first_step: FirstStep | None = None
     rounding: Rounding | None = None
+    exact_solutions: ExactSolutions | None = None
 
     @classmethod
     def _restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
@@ -763,7 +769,7 @@ def of_designs(
     problem: ProblemFile,
     designs: Sequence[LinkageDesign],
     count: int,
-    backend: str = "none",
+    backend: str = NO_SEARCH,
     seconds: dict[str, float] | None = None,
 ) -> SynthesisResult:
     """Return the result of the best `count` distinct valid designs, or of the nearest one; of two alike the first is kept.

@@ -1,0 +1,265 @@
+"""Find all linkages that meet five targets exactly: poses, a function, or timed points of a four-bar."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from optlink.errors import InputError, Status
+from optlink.linkage.mechanism import Arm
+from optlink.linkage.vector2d import TURN, Array
+from optlink.problem.arguments import typed
+from optlink.problem.design import DesignProblem
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
+from optlink.problem.requirements.base import MARK, START
+from optlink.synthesis.five_poses import POSES, FivePoses, FourBarSolution, couplers, dyads, timed_paths
+from optlink.tasks.results.design import NO_SEARCH, LinkageDesign, SynthesisResult, of_designs
+from optlink.tasks.results.exact import ExactSolution, ExactSolutions, ranked
+from optlink.tasks.search import mode_of
+from optlink.validation import validate
+
+CONDITIONS = 10  # of five poses with free timing or five timed points, on as many design variables of a four-bar
+TRIALS = ((0.3, 0.5), (1.1, -0.4))  # starts [rad], crank and output, with which a law must rise by the same
+GRASHOF, BOUNDED = "Grashof: ", " within its bounds"  # names of checks
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A solution, with its validated design and the number of its assembly mode among the files, if it has no defect."""
+
+    solution: ExactSolution
+    variant: int
+    design: LinkageDesign | None
+
+
+class FiveTargets:
+    """The exact solutions of a problem with definite assembly modes in `files`; see `applies`."""
+
+    def __init__(self, files: Sequence[ProblemFile]) -> None:
+        self.files, self.task = files, files[0].spec
+        self.roots, pairs = self._solved()
+        self.found = sorted(
+            (found for pair in pairs if (found := self._judged(pair)) is not None),
+            key=lambda one: (len(one.solution.reasons), -one.solution.transmission),
+        )
+
+    def _solved(self) -> tuple[FivePoses, Sequence[FourBarSolution]]:
+        """Return the dyads, and the four-bars of two of them."""
+        task = self.task
+        if task.law_given:
+            return couplers(task.law.offsets, _rises(task, *TRIALS[0]))
+        points = task.data.columns
+        places = points[:, 0] + 1j * points[:, 1]
+        if task.requirement.kind == "path":
+            assert task.data.offsets is not None
+            return timed_paths(places, task.data.offsets)
+        angles = np.unwrap(np.arctan2(points[:, 3], points[:, 2]))
+        found = dyads(places, angles)
+        links = [dyad for dyad in found.real if dyad.kind == "RR"]
+        return found, [FourBarSolution(a, b, places, angles) for a in links for b in links if a is not b]
+
+    @property
+    def summary(self) -> ExactSolutions:
+        """All solutions as data."""
+        real, law = self.roots.real, self.task.law_given
+        return ExactSolutions(
+            {"motion": "five poses", "path": "five timed points"}.get(self.task.requirement.kind, "five points of a function"),
+            len(real),
+            sum(dyad.certified for dyad in real),
+            self.roots.complex,
+            sum(dyad.kind != "RR" for dyad in real) + law * bool(real),
+            self.roots.special,
+            self.task.requirement.kind == "motion",
+            ranked(one.solution for one in self.found),
+        )
+
+    @property
+    def usable(self) -> list[tuple[int, LinkageDesign]]:
+        """Designs that pass all checks with the numbers of their assembly modes, the one with the best transmission first."""
+        return [(one.variant, one.design) for one in self.found if one.solution.usable and one.design is not None]
+
+    def _judged(self, pair: FourBarSolution) -> _Found | None:
+        """Return a four-bar as a solution of the problem, with all reasons that exclude it."""
+        task = self.task
+        crank, coupler, rocker = _vectors(pair)
+        sizes = np.array([np.abs(each).max() for each in (crank, coupler, rocker)])
+        if np.min(sizes) <= 1e-9 * np.max(sizes):
+            return None
+        across = (np.conj(coupler) * rocker).imag
+        sine = np.abs(across) / (np.abs(coupler) * np.abs(rocker))
+        transmission = float(np.min(np.arcsin(np.clip(sine, 0.0, 1.0))))
+        side = 1 if across[0] < 0.0 else -1  # the joint lies to the left of the line from the crank pin to the rocker pivot
+        values = _values(task, pair)
+        reasons = list(pair.defects)
+        loops = [file.spec.four_bar for file in self.files]
+        variant = next((k for k, loop in enumerate(loops) if loop is not None and loop.side == side), None)
+        mode = "left" if side > 0 else "right"
+        certified = pair.crank.certified and pair.follower.certified
+        design = None
+        if not reasons and variant is None:
+            reasons.append(f'assembly: it needs "{mode}"')
+        if not reasons and variant is not None:
+            design = self._design(variant, values, np.angle(crank))
+            values, mode = design.values, mode_of(design.problem)
+            reasons += _failures(design)
+            transmission = transmission if reasons else design.least_transmission
+        shown = {name: value for name, value in values.items() if name in task.quantities}
+        return _Found(ExactSolution(shown, mode, transmission, certified, tuple(reasons)), variant or 0, design)
+
+    def _design(self, variant: int, values: Mapping[str, float], phi: Array) -> LinkageDesign:
+        """Return a four-bar as a validated design."""
+        file = self.files[variant]
+        task = file.spec
+        full = task.design({name: values[name] for name in task.free})
+        if task.data.offsets is None:
+            datum = task.linkage.datum
+            phi = phi - (values[datum] if isinstance(datum, str) else datum)
+            way = min((1.0, -1.0), key=lambda sign: float(np.sum(np.mod(sign * np.diff(phi), TURN))))
+            angles = phi[0] + way * np.concatenate([[0.0], np.cumsum(np.mod(way * np.diff(phi), TURN))])
+        else:
+            angles = task.crank_angles(full, None)
+        checked = validate(task, full, angles)
+        return LinkageDesign(file, full, angles, checked.objective, Status.NOT_SEARCHED, checked)
+
+
+def _failures(design: LinkageDesign) -> Iterator[str]:
+    """Yield the checks that a design fails, as reasons; without those that only follow from a crank that does not turn."""
+    angles, task = design.crank_angles, design.task
+    if task.data.offsets is None and math.copysign(1.0, angles[-1] - angles[0]) not in task.ways:
+        yield f"rotation: the crank turns {'' if angles[-1] < angles[0] else 'counter-'}clockwise"
+    for check in design.validation.failures:
+        stated = f"{check.value:.4g} {check.unit}".rstrip()
+        if check.name.startswith(GRASHOF):
+            yield f"crank: does not turn ({check.name.removeprefix(GRASHOF)})"
+        elif check.name.endswith(BOUNDED):
+            yield f"bounds: {check.name.removesuffix(BOUNDED)} {stated}, allowed {check.limit}"
+        elif not math.isnan(check.value):
+            yield f"{check.name}: {stated}, required {check.limit}"
+
+
+def applies(task: DesignProblem) -> bool:
+    """Return whether a problem has finitely many exact solutions that are cheap to find.
+
+    It is one of a four-bar with as many design variables as conditions: five poses with free timing, five points that are timed
+    from a free start, or five points of a law of the rocker with free start angles.
+    """
+    loop = task.four_bar
+    if loop is None or len(task.parts) != 1 or task.composed or task.robust is not None or len(task.data.columns) != POSES:
+        return False
+    if task.law_given:
+        names = task.start_name, task.base_name
+        if task.task != "function" or task.everywhere or not {*names, *loop.names} <= set(task.free):
+            return False
+        return bool(np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12))
+    timed = {"motion": "free", "path": "from start"}.get(task.requirement.kind)
+    marked = (loop.coupler.body, task.point) in task.linkage.marks
+    return timed == task.timing and marked and len(task.free) >= CONDITIONS and not task.meets_again
+
+
+def _rises(task: DesignProblem, start: float, base: float) -> Array:
+    """Return the prescribed output [rad] of a law at its positions, above the output at the start."""
+    return task.prescribed_outputs({**task.design({}), task.start_name: start, task.base_name: base}) - base
+
+
+def _vectors(pair: FourBarSolution) -> tuple[Array, Array, Array]:
+    """Return crank, coupler and rocker at all positions as complex numbers, each from its end nearer to the crank pivot."""
+    rotation = np.exp(1j * (pair.angles - pair.angles[0]))
+    (a, b), (d, c) = (
+        tuple(complex(*part[:2]) / part[2] for part in (dyad.pivot, dyad.point)) for dyad in (pair.crank, pair.follower)
+    )
+    pins, joints = (pair.places + rotation * (point - pair.places[0]) for point in (b, c))
+    return pins - a, joints - pins, d - joints
+
+
+def _values(task: DesignProblem, pair: FourBarSolution) -> dict[str, float]:
+    """Return the quantities [SI] of a four-bar by their names; those of a law have the frame of the file."""
+    loop, linkage = task.four_bar, task.linkage
+    assert loop is not None
+    crank, coupler, rocker = (each[0] for each in _vectors(pair))
+    pivot, far = (complex(*dyad.pivot[:2]) / dyad.pivot[2] for dyad in (pair.crank, pair.follower))
+    size = float(loop.frame(task.design({}))[0]) if task.law_given else 1.0
+    named: dict[object, float] = dict(zip(loop.names, (size * abs(each) for each in (crank, coupler, rocker)), strict=True))
+    for place, at in zip(loop.pivots, (pivot, far), strict=True):
+        if isinstance(place, Arm):
+            named |= {place.length: abs(far - pivot), place.direction: float(np.angle(far - pivot))}
+        elif not task.law_given:
+            named |= {place[0]: at.real, place[1]: at.imag}
+    if loop.frame_length:
+        named[loop.frame_length] = size * abs(far - pivot)
+    datum = named[linkage.datum] if isinstance(linkage.datum, str) else linkage.datum
+    backwards = loop.coupler.start != loop.pin
+    mark = linkage.marks.get((loop.coupler.body, task.point))
+    if mark is not None:
+        z = complex(pair.places[0]) - pivot - crank
+        z = ((coupler - z) if backwards else z) / coupler * abs(coupler)  # from C along C -> B, or from B along B -> C
+        named |= {mark.along: z.real, mark.across: z.imag}
+    values = {**task.design({}), **{name: value for name, value in named.items() if isinstance(name, str)}}
+    start = float(np.angle(crank)) - datum
+    if MARK in task.quantities:
+        values[MARK] = float(pair.angles[0] - np.angle(-coupler if backwards else coupler))
+    if START in task.quantities and task.data.offsets is not None:
+        values[START] = start - float(task.data.offsets[0])
+    if task.law_given:
+        rise = _rises(task, *TRIALS[0])
+        values[task.start_name] = start - float(task.law.offsets[0])
+        values[task.base_name] = float(np.angle(-rocker)) - float(rise[0])
+    return {name: _within(task, name, value) for name, value in values.items()}
+
+
+def _within(task: DesignProblem, name: str, value: float) -> float:
+    """Return a value, of a periodic angle the one within its bounds."""
+    quantity = task.quantities.get(name)
+    if quantity is None or quantity.kind != "angle" or not task.is_periodic(name):
+        return value
+    low, high = quantity.bounds if quantity.free else (quantity.value - math.pi, quantity.value + math.pi)
+    middle = 0.5 * (low + high)
+    return middle + math.remainder(value - middle, TURN)
+
+
+@typed
+def exact(problem: AnyProblem) -> SynthesisResult:
+    """Find all linkages that meet the targets of a problem exactly, and tell of each why it is usable or not.
+
+    Parameters
+    ----------
+    problem : ProblemFile, str or Path
+        A four-bar for five poses with free timing, five points timed from a free start, or five points of a law or function with
+        free start angles; all its dimensions are design variables.
+
+    Returns
+    -------
+    SynthesisResult
+        `designs`: all usable ones, the one with the best transmission angle first; `exact_solutions`: all, with the reasons.
+
+    Raises
+    ------
+    InputError
+        If the problem is of another kind, whose solutions are infinitely many or too many to list.
+
+    Examples
+    --------
+    >>> result = optlink.synthesis.exact("motion-5-poses")
+    >>> result.exact_solutions.real, len(result.exact_solutions.solutions)
+    (4, 12)
+    """
+    problem = problem_of(problem)
+    if not applies(problem.variants()[0].spec):
+        message = "only five poses, timed points or points of a function of a four-bar have finitely many exact solutions"
+        remedy = "Give five of them, leave all dimensions and the start of the timing free, or leave --all out"
+        raise InputError(message, remedy, problem.file, "requirement")
+    clock = time.perf_counter()
+    targets = FiveTargets(problem.variants())
+    designs = [design for _, design in targets.usable]
+    nearest = next((one.design for one in targets.found if one.design is not None), None)
+    shown = designs or ([] if nearest is None else [nearest])
+    seconds = {"solve and validate": time.perf_counter() - clock}
+    result = SynthesisResult(problem, (), None, NO_SEARCH, seconds)
+    if shown:
+        result = of_designs(problem, shown, len(shown), seconds=seconds)
+        result = replace(result, designs=tuple(designs))
+    summary = targets.summary
+    return replace(result, exact_solutions=summary, notes=(summary.sentence,))

@@ -1,0 +1,102 @@
+"""All linkages that meet five targets exactly, as data: each is usable, or has a reason for which it is not."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from optlink.problem.document import Number
+
+DEFECTS = {
+    "circuit": "the positions lie on two circuits, between which the linkage must be taken apart",
+    "branch": "they lie on both sides of a dead centre of the follower",
+    "order": "the crank passes them in another order",
+}
+"""Defects of a linkage that meets all targets, and their meaning."""
+
+
+@dataclass(frozen=True)
+class ExactSolution:
+    """A linkage that meets all targets: dimensions [SI], assembly mode, and the least distance [rad] of its transmission angle
+    from 0 and 180 deg at the targets.
+
+    `certified`: its dyads are proven to be real; `reasons`: what excludes it: its `DEFECTS`, else checks that it fails.
+    """
+
+    values: Mapping[str, Number]
+    assembly: str
+    transmission: Number
+    certified: bool
+    reasons: tuple[str, ...]
+
+    @property
+    def usable(self) -> bool:
+        """Whether it passes all targets in order, within all limits and bounds."""
+        return not self.reasons
+
+
+@dataclass(frozen=True)
+class ExactSolutions:
+    """All linkages that meet the targets, usable ones first.
+
+    `real`, `certified`, `complex`: numbers of roots of the equations, of which there are four; `sliders`: those that are no links
+    of finite length; `special`: a sentence about targets with infinitely many solutions, of which none is listed; `either`:
+    whether each linkage is listed twice, driven at either link.
+    """
+
+    task: str
+    real: int
+    certified: int
+    complex: int
+    sliders: int
+    special: str
+    either: bool
+    solutions: tuple[ExactSolution, ...]
+
+    @property
+    def usable(self) -> int:
+        """Number of usable linkages."""
+        return sum(solution.usable for solution in self.solutions)
+
+    @property
+    def complete(self) -> bool:
+        """Whether each root is either certified to be real, or complex."""
+        return not self.special and self.certified + self.complex == 4
+
+    @property
+    def sentence(self) -> str:
+        """How many solutions there are, and how many of them are usable."""
+        if self.special:
+            return f"{self.task}: {self.special}"
+        proof = "certified" if self.certified == self.real else f"{self.certified} of them certified"
+        roots = f"{self.real} of 4 roots are real ({proof})" if self.real else "none of the 4 roots is real"
+        missing = "" if self.complete else f", {4 - self.certified - self.complex} not separated"
+        sliders = f", {self.sliders} of them a slider or of no length" if self.sliders else ""
+        count = len(self.solutions)
+        found = f"{count} four-bar{'s' * (count != 1)}, {self.usable} usable" if count else "no four-bar"
+        if self.either and count:
+            found = f"{count // 2} four-bar{'s' * (count > 2)}, {count} with either link as the crank, {self.usable} usable"
+        return f"{self.task}: {roots}{missing}{sliders}; {found}"
+
+    def document(self, displayed: Any) -> dict[str, Any]:
+        """Return the solutions as part of a JSON document, their dimensions `displayed` in units."""
+        return {
+            **{name: getattr(self, name) for name in ("task", "real", "certified", "complex", "sliders", "complete", "special")},
+            "usable": self.usable,
+            "solutions": [
+                {
+                    "usable": one.usable,
+                    "reasons": one.reasons,
+                    "certified": one.certified,
+                    "assembly": one.assembly,
+                    "transmission_deg": math.degrees(one.transmission),
+                    "design": displayed(one.values),
+                }
+                for one in self.solutions
+            ],
+        }
+
+
+def ranked(solutions: Iterator[ExactSolution]) -> tuple[ExactSolution, ...]:
+    """Return solutions, usable ones first, then those with fewer reasons; of the same number that with the best transmission."""
+    return tuple(sorted(solutions, key=lambda one: (len(one.reasons), -one.transmission)))

@@ -1,0 +1,159 @@
+"""All exact solutions of problems with five targets: known linkages, reasons, the search that begins with them, the command."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from optlink.linkage import four_bar, sweep
+from tests.synthesis.test_five_poses import cranked
+
+POSES = Path(__file__).parents[1] / "data" / "five-poses"
+LENGTHS = {name: {"bounds": ["1 mm", "20 m"]} for name in ("crank", "coupler", "rocker", "frame")}
+PLACED = {
+    "type": "four-bar",
+    **LENGTHS,
+    "points": {"P": [{"bounds": ["-20 m", "20 m"]}] * 2},
+    "pivot": [{"bounds": ["-20 m", "20 m"]}] * 2,
+    "direction": {"bounds": ["-180 deg", "180 deg"]},
+    "assembly": "either",
+}
+
+
+@pytest.mark.parametrize(("name", "angles"), [("known-0", [61.46, 27.49, 21.13, 20.75]), ("known-4", [39.18, 35.36, 15.74])])
+def test_every_usable_four_bar_of_five_poses_is_listed(name, angles):
+    result = optlink.synthesis.exact(POSES / f"{name}.toml")
+    assert result.exact_solutions.certified == 4
+    assert result.exact_solutions.usable == len(angles)
+    assert [math.degrees(design.least_transmission) for design in result.designs] == pytest.approx(angles, abs=0.006)
+    assert all(design.valid and design.exact for design in result.designs)
+    assert result.valid
+
+
+def test_six_four_bars_without_a_usable_one_have_their_defects():
+    result = optlink.synthesis.exact(POSES / "all-real.toml")
+    found = result.exact_solutions
+    assert len(found.solutions) == 12  # six, driven at either link
+    assert {reason for one in found.solutions for reason in one.reasons} == {"circuit", "branch", "order"}
+    assert all(one.reasons for one in found.solutions)
+    assert not result.valid
+    assert "6 four-bars, 12 with either link as the crank, 0 usable" in result.notes[0]
+
+
+def test_limits_and_bounds_are_reasons():
+    file = optlink.load(POSES / "known-0.toml")
+    tight = optlink.synthesis.exact(file.override({"mechanism.rocker.bounds": ["2 mm", "100 mm"]}))
+    assert tight.exact_solutions.usable == 2
+    assert any(one.reasons == ("bounds: rocker 210.2 mm, allowed 2 ... 100",) for one in tight.exact_solutions.solutions)
+    strict = optlink.synthesis.exact(file.override({"limits.transmission_angle": ["45 deg", "135 deg"]}))
+    assert strict.exact_solutions.usable == 1
+    reasons = [reason for one in strict.exact_solutions.solutions for reason in one.reasons]
+    assert sum(reason.startswith("smallest transmission angle: 27.49 deg") for reason in reasons) == 1
+    left = optlink.synthesis.exact(file.override({"mechanism.assembly": "left"}))
+    assert left.exact_solutions.usable == 2
+    assert sum('assembly: it needs "right"' in one.reasons for one in left.exact_solutions.solutions) > 1
+    ways = [optlink.synthesis.exact(file.override({"requirement.rotation": way})) for way in ("clockwise", "counter-clockwise")]
+    assert sum(one.exact_solutions.usable for one in ways) == 4
+    assert any("rotation: the crank turns counter-clockwise" in one.reasons for one in ways[0].exact_solutions.solutions)
+
+
+def test_a_search_begins_with_the_exact_solutions(tmp_path):
+    result = optlink.solve(optlink.load(POSES / "known-0.toml"), designs=4)
+    assert [math.degrees(design.least_transmission) for design in result.designs] == pytest.approx(
+        [61.46, 27.49, 21.13, 20.75], abs=0.006
+    )
+    assert result.starts == 4
+    assert result.evidence is None
+    stored = tmp_path / "result.json"
+    stored.write_text(json.dumps(result.to_dict()), encoding="utf-8")
+    assert optlink.read_result(stored).exact_solutions == result.exact_solutions
+
+
+def motion_of(sizes, phi, side):
+    """Rocker angles [rad] and points P of a four-bar with frame 1, and its point at 0.4 along and 0.3 across."""
+    names = dict(zip(("crank", "coupler", "rocker"), sizes, strict=True)) | {"frame": 1.0, "P.along": 0.4, "P.across": 0.3}
+    moved = sweep(four_bar(side=side, points=["P"]), names, phi)
+    return np.unwrap(moved.body_angle("rocker").value), moved.position("P")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_function_of_five_points_has_its_four_bar(seed):
+    sizes, phi, *_ = cranked(np.random.default_rng(seed))
+    psi, _ = motion_of(sizes, phi, 1)
+    table = {
+        "phi": [f"{math.degrees(x)!r} deg" for x in (phi - phi[0]).tolist()],
+        "psi": [f"{math.degrees(y)!r} deg" for y in (psi - psi[0]).tolist()],
+    }
+    raw = {
+        "title": "five points",
+        "mechanism": {"type": "four-bar", **LENGTHS, "frame": "100 mm", "assembly": "either"},
+        "requirement": {
+            "kind": "function",
+            "law": table,
+            "from": {"bounds": ["-360 deg", "360 deg"]},
+            "psi0": {"bounds": ["-360 deg", "360 deg"]},
+        },
+        "limits": {"transmission_angle": ["0.1 deg", "179.9 deg"], "alignment": "0.1 deg"},
+    }
+    result = optlink.synthesis.exact(optlink.read(raw))
+    assert len(result.exact_solutions.solutions) in (1, 3)
+    found = [[10.0 * design.values[name] for name in ("crank", "coupler", "rocker")] for design in result.designs]
+    assert any(np.allclose(one, sizes, rtol=1e-6) for one in found)
+    assert all(design.exact for design in result.designs)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_five_timed_points_have_their_four_bar(seed):
+    rng = np.random.default_rng(seed)
+    sizes, phi, *_ = cranked(rng)
+    shift, turned = rng.normal(0.0, 1.0, 2), np.exp(1j * rng.uniform(-3.0, 3.0))
+    _, points = motion_of(sizes, phi, -1)
+    z = (points[:, 0] + 1j * points[:, 1]) * turned + complex(*shift)
+    rows = [
+        {"x": f"{w.real!r} m", "y": f"{w.imag!r} m", "crank": f"{math.degrees(at)!r} deg"}
+        for w, at in zip(z.tolist(), (phi - phi[0]).tolist(), strict=True)
+    ]
+    raw = {
+        "title": "five timed points",
+        "mechanism": PLACED,
+        "requirement": {"kind": "path", "timing": "from start", "points": rows},
+        "limits": {"transmission_angle": ["0.1 deg", "179.9 deg"], "alignment": "0.1 deg"},
+    }
+    result = optlink.synthesis.exact(optlink.read(raw))
+    found = [[design.values[name] for name in ("crank", "coupler", "rocker", "frame")] for design in result.designs]
+    assert any(np.allclose(one, [*sizes, 1.0], rtol=1e-5) for one in found)
+    assert all(design.exact for design in result.designs)
+
+
+def test_problems_of_other_kinds_are_refused():
+    with pytest.raises(optlink.InputError, match="finitely many exact solutions"):
+        optlink.synthesis.exact("motion-3-poses")
+
+
+def test_special_poses_are_told():
+    raw = dict(optlink.load(POSES / "known-0.toml").raw)
+    rows = [{"x": f"{x} mm", "y": f"{y} mm", "angle": "10 deg"} for x, y in ((0, 0), (10, 1), (22, 3), (30, 9), (35, 20))]
+    result = optlink.synthesis.exact(optlink.read({**raw, "requirement": {**raw["requirement"], "points": rows}}))
+    assert "does not turn" in result.notes[0]
+    assert not result.valid
+    assert result.to_dict()["exact_solutions"]["solutions"] == []
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, list(arguments))
+
+
+def test_the_command_lists_all():
+    ended = invoke("solve", str(POSES / "known-0.toml"), "--all", "--json")
+    document = json.loads(ended.stdout)["exact_solutions"]
+    assert (ended.exit_code, document["certified"], document["usable"], len(document["solutions"])) == (0, 4, 4, 12)
+    assert document["solutions"][-1]["reasons"] == ["branch", "order"]
+    assert invoke("solve", str(POSES / "all-real.toml"), "--all").exit_code == 1
+    refused = invoke("solve", "motion-3-poses", "--all")
+    assert refused.exit_code == 2
+    assert invoke("solve", "motion-5-poses", "--all", "--starts", "20").exit_code == 2
