@@ -14,6 +14,8 @@ import pytest
 import typer.main
 
 import optlink
+from optlink.problem import own_terms
+from optlink.problem.terms import QuantityType
 from tests import solved as shared, tiers
 from tests.browser import browser
 
@@ -118,6 +120,15 @@ def _one_process() -> Iterator[None]:
         for module in ("runner", "store"):
             patch.setattr(f"optlink.execution.{module}.cores", lambda: 1)
         yield
+
+
+@pytest.fixture(autouse=True)
+def _without_own_terms() -> Iterator[None]:
+    """Forget the objectives and limits that a test has made of functions: the next one counts the quantities of optlink."""
+    yield
+    for name in own_terms.OWN:
+        QuantityType.registry.pop(name, None)
+    own_terms.OWN.clear()
 
 
 @pytest.fixture(scope="session")

@@ -348,7 +348,7 @@ def test_every_script_of_the_page_of_builders_prints_what_it_shows(script, shown
 
 def test_the_page_of_builders_has_the_optima_of_independent_formulas():
     page = (DOCS / "builders.md").read_text(encoding="utf-8")
-    assert len(SHOWN) == page.count("```python") == 8
+    assert len(SHOWN) == page.count("```python") == 9
     assert sum("coupler 412.865 mm rocker 232.246 mm" in shown for _, shown in SHOWN) == 3
     shortest = shortest_pair()
     assert f"coupler {1e3 * shortest[0]:.3f} mm rocker {1e3 * shortest[1]:.3f} mm" in page

@@ -20,7 +20,7 @@ PUBLIC = {
         Result Simulation SolverError Status SynthesisResult UnknownName
         analyze analyze_batch balance build explore export gradient hessian load motion new read read_design read_result report
         shipped simulate
-        solve sweep validate
+        limit objective solve sweep validate
         control extending linkage studies style synthesis testing
     """,
     "optlink.control": """

@@ -24,7 +24,7 @@ from optlink.problem.file import ProblemFile, fixed_design
 from optlink.tasks.analyze import Analysis, analyze
 from optlink.version import VERSION
 
-CHARTS, PANELS, ROWS = 2, 2, 10  # largest numbers of charts, of panels of one, and of lines of a table, of the short page
+CHARTS, PANELS, ROWS = 2, 2, 8  # largest numbers of charts, of panels of one, and of lines of a table, of the short page
 MAX_DRAWINGS = 60  # largest number of selectable points with a drawing of their own
 
 

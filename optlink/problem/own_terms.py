@@ -1,0 +1,142 @@
+"""Objectives and limits of one's own, from a function in a script or in a cell of a notebook."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from optlink.errors import InputError
+from optlink.io import register
+from optlink.linkage.vector2d import Value
+from optlink.problem.arguments import typed
+from optlink.problem.terms import Measure, QuantityType
+from optlink.units import KINDS, kind_of_unit
+
+Formula: TypeAlias = Callable[..., Value]
+"""Function of a machine at one position, and of its reactions if it takes two arguments: a value [SI], elementwise."""
+OWN: dict[str, QuantityType] = {}
+"""Quantities that a decorator has registered: a cell that runs again replaces its own."""
+
+
+@dataclass(frozen=True)
+class OwnTerm:
+    """A function as objective or limit of machines; it can still be called.
+
+    Parameters
+    ----------
+    formula : function of (machine in motion) or (machine in motion, reactions)
+        Returns the value at one position [SI].
+    changes : mapping of str to any
+        Changes of a problem that make it the objective or a limit, for `optlink.load` and `ProblemFile.override`.
+    """
+
+    formula: Formula
+    changes: Mapping[str, Any] = field(repr=False)
+
+    def __call__(self, *arguments: Any) -> Value:
+        """Return the value of the function."""
+        return self.formula(*arguments)
+
+
+@typed
+def objective(*, unit: str = "", measure: Measure = "peak") -> Callable[[Formula], OwnTerm]:
+    """Make a function an objective: a decorator for a cell or a script.
+
+    Parameters
+    ----------
+    unit : str, optional
+        Unit in which the value is shown; the function returns SI. Default: a plain number.
+    measure : str, optional
+        How the values over the cycle become one: "peak" (largest amount), "rms", "mean", "largest" or "least".
+
+    Returns
+    -------
+    function
+        Decorator of a function of the machine in motion at one position, or of that and the reactions.
+
+    Raises
+    ------
+    InputError
+        If the unit is unknown, or optlink has a quantity of that name.
+
+    Examples
+    --------
+    >>> @optlink.objective(unit="N m", measure="rms")
+    ... def drive_torque(machine, reactions):
+    ...     return reactions.torque
+    >>> problem = optlink.load("shaper-design", drive_torque.changes)
+    >>> problem.raw["objective"]
+    {'quantity': 'drive torque', 'measure': 'rms'}
+    """
+
+    def decorated(formula: Formula) -> OwnTerm:
+        name = _registered(formula, unit)
+        return OwnTerm(formula, {"objective": {"quantity": name, "measure": measure}})
+
+    return decorated
+
+
+@typed
+def limit(*, unit: str = "", max: float | None = None, min: float | None = None) -> Callable[[Formula], OwnTerm]:
+    """Make a function a limit over the cycle: a decorator for a cell or a script.
+
+    Parameters
+    ----------
+    unit : str, optional
+        Unit of `max` or `min`; the function returns SI. Default: a plain number.
+    max, min : float, optional
+        Bound of its largest or of its least value, in that unit; one of them.
+
+    Returns
+    -------
+    function
+        Decorator of a function of the machine in motion at one position, or of that and the reactions.
+
+    Raises
+    ------
+    InputError
+        If not one bound is given, the unit is unknown, or optlink has a quantity of that name.
+
+    Examples
+    --------
+    >>> @optlink.limit(unit="deg", max=120)
+    ... def rocker_angle(machine):
+    ...     return machine.state("rocker").angle
+    >>> sorted(rocker_angle.changes)
+    ['limits.rocker_angle']
+    """
+    bounds = {side: value for side, value in (("max", max), ("min", min)) if value is not None}
+    if len(bounds) != 1:
+        raise InputError("a limit has one bound", "Give max or min; for both decorate two functions", key="max, min")
+    (side, value), measure = *bounds.items(), "largest" if max is not None else "least"
+
+    def decorated(formula: Formula) -> OwnTerm:
+        name = _registered(formula, unit)
+        bound = f"{value!r} {unit}" if unit else value
+        return OwnTerm(formula, {f"limits.{formula.__name__}": {"quantity": name, "measure": measure, side: bound}})
+
+    return decorated
+
+
+def _registered(formula: Formula, unit: str) -> str:
+    """Register a function as a quantity and return its name, which is that of the function with spaces."""
+    kind = kind_of_unit(unit) if unit else ""
+    if kind is None:
+        remedy = f"Write one of {', '.join(one.display for one in KINDS.values() if one.display)}"
+        raise InputError(f'"{unit}" is not a unit', remedy, key="unit", value=unit)
+    name, forces = formula.__name__.replace("_", " "), len(inspect.signature(formula).parameters) > 1
+    quantity = QuantityType(
+        name,
+        kind,
+        ("peak", "rms", "mean", "largest", "least"),
+        signal=lambda moving, reactions, _: (formula(moving, reactions) if forces else formula(moving),),
+        history=lambda record, _: record.full(formula(record.moving, record.reactions) if forces else formula(record.moving)),
+        forces=forces,
+    )
+    if name in OWN and QuantityType.registry.get(name) is OWN[name]:
+        del QuantityType.registry[name]
+    register(quantity)
+    OWN[name] = quantity
+    return name

@@ -1,0 +1,75 @@
+"""Objectives and limits from functions: the same optimum as the quantities of optlink, and sentences for what is wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink import InputError
+
+
+def test_an_own_objective_and_limit_give_the_optimum_of_the_quantities_that_they_repeat():
+    @optlink.objective(unit="N m", measure="rms")
+    def drive_torque(machine, reactions):
+        return reactions.torque
+
+    @optlink.limit(unit="m/s", max=3.5)
+    def ram_speed(machine):
+        return machine.slides["F"][1]
+
+    mine = {**drive_torque.changes, **ram_speed.changes}
+    speed = {"quantity": "velocity", "of": "E", "measure": "peak", "max": "3.5 m/s"}
+    same = {"objective": {"quantity": "torque", "measure": "rms"}, "limits.ram_speed": speed}
+    found, other = (optlink.solve(optlink.load("shaper-design", changes), starts=1) for changes in (mine, same))
+    assert found.valid
+    assert found.objective == pytest.approx(other.objective, rel=1e-8)
+    (one, two) = (
+        next(check for check in result.best.validation.checks if check.name.startswith("ram_speed: "))
+        for result in (found, other)
+    )
+    assert (one.name, one.limit, one.unit) == ("ram_speed: largest ram speed", "<= 3.5", "m/s")
+    assert one.value == pytest.approx(two.value, rel=1e-6)
+
+
+def test_a_cell_that_runs_again_replaces_its_function():
+    for factor in (1.0, 2.0):
+
+        @optlink.objective(unit="N m", measure="peak")
+        def doubled(machine, reactions, factor=factor):
+            return factor * reactions.torque
+
+    plain = {"objective": {"quantity": "torque", "measure": "peak"}}
+    values = [
+        optlink.validate(optlink.load("shaper-design", changes), STARTING).objective for changes in (doubled.changes, plain)
+    ]
+    assert values[0] == pytest.approx(2.0 * values[1])
+
+
+STARTING = {"C.x": 0.0, "C.y": -0.275, "crank.length": 0.125, "rocker.length": 0.55, "coupler.length": 0.1375, "F.y": 0.275}
+
+
+def test_a_decorated_function_can_still_be_called():
+    @optlink.limit(unit="deg", min=10)
+    def half(angle):
+        return 0.5 * angle
+
+    assert half(np.pi) == pytest.approx(np.pi / 2.0)
+    assert half.changes == {"limits.half": {"quantity": "half", "measure": "least", "min": "10.0 deg"}}
+
+
+@pytest.mark.parametrize(
+    ("decorator", "words"),
+    [
+        (lambda: optlink.objective(unit="parsec"), '"parsec" is not a unit'),
+        (lambda: optlink.limit(unit="deg"), "a limit has one bound"),
+        (lambda: optlink.limit(unit="deg", min=1, max=2), "a limit has one bound"),
+        (lambda: optlink.objective(unit="N m"), "this name is already registered"),
+    ],
+)
+def test_a_faulty_decorator_is_refused_in_a_sentence(decorator, words):
+    def torque(machine, reactions):
+        return reactions.torque
+
+    with pytest.raises(InputError, match=words):
+        decorator()(torque)
