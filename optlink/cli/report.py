@@ -63,7 +63,8 @@ def report(
 def export(
     source: Problem,
     output: Annotated[
-        Path, option("FILE", "File to write; its suffix selects the format: .dxf, .svg, .csv or .json.", "-o", "--out")
+        Path,
+        option("FILE", "File to write; its suffix selects the format: .dxf, .svg, .csv, .json or .xml (MuJoCo).", "-o", "--out"),
     ],
     at: Annotated[
         str | None,
@@ -85,7 +86,7 @@ def export(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Export a design to DXF, SVG, CSV or JSON."""
+    """Export a design to DXF, SVG, CSV, JSON or MuJoCo (MJCF)."""
     from optlink.presentation.export.export import FORMATS, Options, export as write
     from optlink.presentation.files import check_target
 

@@ -1,1 +1,1 @@
-"""Export of designs as DXF, SVG, CSV and JSON."""
+"""Export of designs as DXF, SVG, CSV, JSON and MJCF."""

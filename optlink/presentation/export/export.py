@@ -1,4 +1,4 @@
-"""Export of a design: DXF and SVG drawings at a crank angle, motion as CSV, geometry as JSON."""
+"""Export of a design: DXF and SVG drawings at a crank angle, motion as CSV, geometry as JSON, a model of MuJoCo."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ def export(model: ReportModel, path: Path, options: Options | None = None) -> No
     ----------
     model : ReportModel
     path : Path
-        Extension .dxf, .svg, .csv or .json.
+        Extension .dxf, .svg, .csv, .json or .xml (MJCF of MuJoCo).
     options : Options or None, optional
         Default: `Options()`.
 
@@ -188,6 +188,14 @@ def _plain(vector: Vector) -> list[float]:
     return [float(part) for part in vector]
 
 
+def _mjcf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    from optlink.presentation.export.mjcf import mjcf
+
+    text = mjcf(cycle, place_of(cycle, options.at))
+    with whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 Writer = Callable[[ReportModel, Analysis, Path, Options], None]
-FORMATS: dict[str, Writer] = {".dxf": _dxf, ".svg": _svg, ".csv": _csv, ".json": _json}
+FORMATS: dict[str, Writer] = {".dxf": _dxf, ".svg": _svg, ".csv": _csv, ".json": _json, ".xml": _mjcf}
 """What can be written, by the ending of the file."""
