@@ -32,6 +32,7 @@ from optlink.presentation.chart_spec import (
     Trace,
     cells,
 )
+from optlink.presentation.format import pretty
 from optlink.presentation.labels import Label, place_labels
 from optlink.presentation.style import HALO, figure, heading, styled
 
@@ -157,7 +158,7 @@ def _panel(axes: Axes, chart: ChartSpec, panel: Panel, *, legend: bool = True) -
             if isinstance(trace, Bars) and not trace.horizontal:
                 _label_cut_bars(axes, trace)
     if panel.note:
-        axes.text(0.99, 0.03, panel.note, transform=axes.transAxes, ha="right", va="bottom", fontsize=FONT)
+        axes.text(0.99, 0.03, pretty(panel.note), transform=axes.transAxes, ha="right", va="bottom", fontsize=FONT)
     if legend:
         _legend(axes, chart.width)
     return [Label(axes, (m.x, m.y), m.text, m.colour, m.font, 0.6 * m.size, m.prefer) for m in panel.marks if m.text]
@@ -193,7 +194,7 @@ def _trace(axes: Axes, trace: Trace, chart: ChartSpec, panel: Panel) -> None:
         axes.grid(visible=False)
         shaded = axes.pcolormesh(*edges, np.ma.masked_invalid(trace.z), cmap="viridis", vmin=low, vmax=high, rasterized=True)
         if trace.name:
-            axes.figure.colorbar(shaded, ax=axes, label=trace.name)
+            axes.figure.colorbar(shaded, ax=axes, label=pretty(trace.name))
     else:
         _bars(axes, trace)
 
@@ -267,7 +268,8 @@ def _scaled(axes: Axes, direction: str, axis: Axis, limits: tuple[float, float] 
     If `widened`, the limits may be widened for equal scales.
     """
     side = axes.xaxis if direction == "x" else axes.yaxis
-    side.set_label_text(axis.name if "\n" in axis.name else heading(axis.name, room, 10.0))
+    name = pretty(axis.name)
+    side.set_label_text(name if "\n" in name else heading(name, room, 10.0))
     if axis.scale == "log":
         (axes.set_xscale if direction == "x" else axes.set_yscale)("log")
         low, high = limits or side.get_view_interval()
@@ -288,7 +290,7 @@ def _scaled(axes: Axes, direction: str, axis: Axis, limits: tuple[float, float] 
 
 def _legend(axes: Axes, width: float) -> None:
     """Place the legend above the axes, or beside them if it is long."""
-    entries = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    entries = {pretty(name): handle for handle, name in zip(*axes.get_legend_handles_labels(), strict=True)}
     if not entries:
         return
     letters = max(max(len(line) for line in name.splitlines()) for name in entries) + 6

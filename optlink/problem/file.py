@@ -104,7 +104,8 @@ class ProblemFile:
         return hash((self.name, self.file, self.hash))
 
     def __repr__(self) -> str:
-        return f"<ProblemFile {self.name!r}: {self.kind}>"
+        changes = "".join(f", {key} = {shown(value)}" for key, value in self.overrides.items())
+        return f"<ProblemFile {self.name!r}: {self.kind}{changes}>"
 
     @property
     def spec(self) -> DesignProblem:

@@ -566,12 +566,16 @@ def _notes(
         singular = np.empty(0)
     if singular.size:
         notes.append(f"a group is in a singular position: its reactions are infinite at {driving.texts(singular)}")
-    if not machine.inertias and not machine.loads:
-        notes.append("no masses and no loads are given, so there are no forces")
+    notes += _force_notes(machine)
     with_clearance = [name for name, joint in problem.model.joints.items() if joint.has_clearance]
     if with_clearance:
         notes.append(f"joints are treated as ideal; `optlink simulate` includes the clearance of {', '.join(with_clearance)}")
     return notes
+
+
+def _force_notes(machine: Machine) -> list[str]:
+    """Return a note if nothing in a machine causes forces."""
+    return [] if machine.inertias or machine.loads else ["no masses and no loads are given, so there are no forces"]
 
 
 def _missing_notes(
@@ -700,7 +704,8 @@ class Columns(dict[str, Array]):
     """Columns by name, arrays (designs, points) of as many designs as `valid` has entries.
 
     `valid` (designs,): whether a design can be assembled at every crank angle and its motion is determined; `singular`: message
-    by design index where the motion is not determined; `designs`: what was varied, arrays (designs,) [SI] by name with SI unit.
+    by design index where the motion is not determined; `designs`: what was varied, arrays (designs,) [SI] by name with SI unit;
+    `notes`: what holds for all designs, as in `Analysis.notes`.
     """
 
     def __init__(self, count: int = 0, designs: Mapping[str, Array] | None = None) -> None:
@@ -708,6 +713,7 @@ class Columns(dict[str, Array]):
         self.valid = np.zeros(count, dtype=bool)
         self.singular: dict[int, str] = {}
         self.designs = dict(designs or {})
+        self.notes: list[str] = []
 
     def to_frame(self) -> pandas.DataFrame:
         """Return a data frame of pandas with a row per design: its sizes, `valid`, then least, largest and rms of each column.
@@ -757,11 +763,11 @@ def analyze_batch(
     Returns
     -------
     Columns
-        Arrays (designs, points of all revolutions) by name; `valid` marks the designs that can be assembled everywhere, and
-        `to_frame()` has a row for each design. A value is NaN where the design cannot be assembled. All values of a
-        design are NaN if a load acts in the slow stroke and the design has none, or if the motion is not determined beyond a
-        singular position (`singular` contains the message). Apart from these arrays, memory does not grow with the number of
-        designs.
+        Arrays (designs, points of all revolutions) by name; `valid` marks the designs that can be assembled everywhere, `notes`
+        says where there are no forces, and `to_frame()` has a row for each design. A value is NaN where the design cannot be
+        assembled. All values of a design are NaN if a load acts in the slow stroke and the design has none, or if the motion is
+        not determined beyond a singular position (`singular` contains the message). Apart from these arrays, memory does not grow
+        with the number of designs.
 
     Raises
     ------
@@ -794,6 +800,7 @@ def analyze_batch(
     kinds = problem.model.mechanism.quantities
     result = Columns(count, {f"{name}_{KINDS[kinds[name].kind].si}".rstrip("_"): values for name, values in arrays.items()})
     result.update({name: np.empty((count, len(angles))) for name in columns})
+    result.notes += _force_notes(given)
     samples = angles
     if points < SAMPLES and limits is None:
         samples = problem.model.driving.first + TURN * np.arange(revolutions * SAMPLES) / SAMPLES

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import casadi
 import numpy as np
@@ -17,11 +18,17 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, NLPValues
 from optlink.problem.arguments import typed
 from optlink.problem.design import EPIGRAPH
+from optlink.problem.document import Document
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.solvers.multistart import scaled_parameters
-from optlink.tasks.machine import check_design
+from optlink.tasks.machine import check_design, crank_speed
 from optlink.tasks.run import check_complete, design_task
 from optlink.tasks.search import mode_of
+
+if TYPE_CHECKING:
+    from optlink.tasks.results.common import DesignResult
+else:
+    DesignResult = Document  # as all results are
 
 
 @dataclass(frozen=True)
@@ -297,16 +304,29 @@ def _placed(problem: ProblemFile, nlp: NLP, y: Array, *, scaled: bool = False) -
     return Programme(problem, nlp, nlp.lifted(y), scaled=scaled)
 
 
+def _as_designed(result: DesignResult) -> ProblemFile:
+    """Return the problem of a result with the assembly modes of its design, and its rotation where the points leave it open."""
+    problem, machine = result.definite, result.machine
+    if machine is None or not getattr(problem.model, "pointed", False):
+        return problem
+    model = problem.spec
+    if model.data.offsets is not None or model.rotation != "either":
+        return problem
+    place = f"requirements.{model.requirements.index(model.requirement)}" if model.requirements else "requirement"
+    return problem.override({f"{place}.rotation": "clockwise" if crank_speed(machine) < 0.0 else "counter-clockwise"})
+
+
 @typed
-def build(problem: AnyProblem) -> Programme:
+def build(problem: AnyProblem | DesignResult) -> Programme:
     """Return the nonlinear programme of a design problem.
 
     Parameters
     ----------
-    problem : ProblemFile, str or Path
+    problem : ProblemFile, str, Path or DesignResult
         From `optlink.load`, the name of a shipped problem, or a file. It has a requirement or an objective over the cycle,
         definite assembly modes, and for points or poses with free timing a definite rotation. With an objective over the cycle
-        the programme is that of the order of reversals and loads at the start.
+        the programme is that of the order of reversals and loads at the start. Of a result of `optlink.solve` or `validate`: the
+        programme with the assembly modes and the rotation of its design, which is the start.
 
     Returns
     -------
@@ -326,6 +346,12 @@ def build(problem: AnyProblem) -> Programme:
     >>> round(programme.f(x), 6), programme.f_unit, programme.gradient(x).round(3)  # [rad^2], [rad^2/m]
     (0.007592, 'rad^2', array([0.071, 0.065]))
     """
+    design: Mapping[str, float] = {}
+    if not isinstance(problem, ProblemFile | str | Path):
+        if not hasattr(problem, "definite"):
+            message, remedy = "this result has no design variables", "Give its problem, or a result of optlink.solve"
+            raise InputError(message, remedy, key="problem", value=problem)
+        design, problem = problem.design, _as_designed(problem)
     problem = problem_of(problem)
     task = design_task(problem)
     if task.most_starts is not None:
@@ -337,5 +363,5 @@ def build(problem: AnyProblem) -> Programme:
         )
         raise InputError(message, "Build one: optlink.build(problem.variants()[0])", problem.file, "mechanism.assembly")
     nlp = task.programme(variants[0])
-    start = task.unknowns(variants[0], nlp, nlp.design(nlp.x_start))
+    start = task.unknowns(variants[0], nlp, design or nlp.design(nlp.x_start))
     return _placed(variants[0], nlp, start)

@@ -37,6 +37,16 @@ def over_the_crank(**more) -> ChartSpec:
     return ChartSpec("law", "Law", [top, below], crank_angle(), "Machine: law", lines=[Line(180.0, "dead centre")], **more)
 
 
+def test_picture_and_page_write_units_with_their_signs() -> None:
+    panel = Panel(Axis("objective [rad^2]"), [Curve(X, Y, "torque <= 2 N*m"), Curve(X, Y, "other")])
+    spec = ChartSpec("front", "Front", [panel], Axis("moment of inertia [kg*m^2]"), "Machine: front")
+    axes, page = chart_mpl.pictures([spec])["front"].axes[0], chart_plotly.chart(spec).figure
+    names = (axes.get_ylabel(), axes.get_xlabel(), axes.get_legend().get_texts()[0].get_text())
+    assert names == ("objective [rad²]", "moment of inertia [kg·m²]", "torque ≤ 2 N·m")
+    written = (page["layout"]["yaxis"]["title"]["text"], page["layout"]["xaxis"]["title"]["text"], page["data"][0]["name"])
+    assert written == names
+
+
 def test_picture_and_page_show_the_same_values() -> None:
     spec = over_the_crank(spans=[Span(0.0, 90.0, "quick")])
     (picture,) = chart_mpl.pictures([spec]).values()

@@ -310,6 +310,15 @@ def test_batch_has_no_value_where_a_design_cannot_be_assembled():
     assert np.any(np.isfinite(computed[1]))
 
 
+@pytest.mark.parametrize("name", ["crank-rocker", "six-bar"])
+def test_a_batch_says_as_one_analysis_that_there_are_no_forces(name):
+    problem = optlink.load(name)
+    size = next(key for key, quantity in problem.model.mechanism.quantities.items() if quantity.kind == "length")
+    forceless = [note for note in optlink.analyze(problem).notes if "no forces" in note]
+    assert optlink.analyze_batch(problem, {size: [problem.model.quantities[size].value]}).notes == forceless
+    assert len(forceless) == (name == "crank-rocker")
+
+
 @pytest.mark.parametrize(
     ("designs", "columns", "says"),
     [

@@ -205,6 +205,17 @@ def test_what_has_no_single_programme_is_refused(name: str) -> None:
         assert part in str(error.value)
 
 
+@pytest.mark.parametrize("name", ["path-closed18-untimed", "path-arc5", "crank-rocker"])
+def test_a_result_has_the_programme_of_its_design(name: str) -> None:
+    """Its assembly mode and rotation are chosen, and its design is the start."""
+    result = optlink.solve(name, starts=4)
+    programme = optlink.build(result)
+    assert programme.objective(programme.x_start) == pytest.approx(result.objective, rel=1e-9)
+    assert optlink.validate(programme.problem, programme.design(programme.x_start)).valid
+    with pytest.raises(InputError, match=r"problem.*: this result has no design variables"):
+        optlink.build(optlink.analyze("shaper"))  # type: ignore[arg-type]
+
+
 def test_a_machine_that_never_turns_is_refused() -> None:
     bounds = {"mechanism.links.rod.length": {"bounds": ["20 mm", "30 mm"]}}
     problem = optlink.load("stroke-slider-crank").override(bounds)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from optlink.presentation.chart_spec import LIMIT, MUTED, RESULT, TARGET, Array, Axis, ChartSpec, Curve, Mark, Panel, Picks
-from optlink.presentation.format import change, figure, joined, number, points
+from optlink.presentation.format import change, figure, joined, number, points, pretty
 from optlink.presentation.table_spec import (
     Inline,
     Line,
@@ -128,7 +128,7 @@ def _point_label(result: Pareto, point: ParetoPoint) -> str:
 
 
 def _objective_label(objective: ParetoObjective) -> str:
-    unit = f" [{objective.unit.replace('*', ' ').replace('^2', '²')}]" if objective.unit else ""
+    unit = f" [{pretty(objective.unit)}]" if objective.unit else ""
     return f"{objective.name}{unit}{'' if objective.sense > 0 else ' (more is better)'}"
 
 
