@@ -8,6 +8,7 @@ import inspect
 import io
 import itertools
 import json
+import math
 import re
 import shlex
 import urllib.parse
@@ -331,19 +332,27 @@ def test_the_tutorial_output_is_correct(tmp_path, monkeypatch):
     assert {"arm.toml", "final.toml", "arm.html", "arm.dxf", "frames", "out"} <= {place.name for place in tmp_path.iterdir()}
 
 
-SHOWN = re.findall(
-    r"^```python\n(.*?)^```\n\n```text\n(.*?)^```$", (DOCS / "builders.md").read_text(encoding="utf-8"), re.DOTALL | re.M
-)
+SCRIPT = re.compile(r"^```python\n(.*?)^```\n\n```text\n(.*?)^```$", re.DOTALL | re.M)
+SHOWN = SCRIPT.findall((DOCS / "builders.md").read_text(encoding="utf-8"))
+GUIDE = SCRIPT.findall((DOCS / "from-fmincon.md").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize(
-    ("script", "shown"), [pytest.param(*pair, marks=pytest.mark.slow if "function-sin" in pair[0] else ()) for pair in SHOWN]
+    ("script", "shown"),
+    [pytest.param(*pair, marks=pytest.mark.slow if "function-sin" in pair[0] else ()) for pair in SHOWN + GUIDE],
 )
-def test_every_script_of_the_page_of_builders_prints_what_it_shows(script, shown):
+def test_every_script_of_a_page_prints_what_it_shows(script, shown):
     """Each on its own, as a reader copies it."""
     with contextlib.redirect_stdout(io.StringIO()) as stream:
         exec(script, {})
     assert stream.getvalue() == shown
+
+
+def test_the_file_of_the_guide_from_other_programs_has_the_figures_that_it_states(tmp_path):
+    page = (DOCS / "from-sam-pmks.md").read_text(encoding="utf-8")
+    (tmp_path / "drawn.toml").write_text(re.findall(r"^```toml\n(.*?)^```$", page, re.DOTALL | re.M)[0], encoding="utf-8")
+    extreme = optlink.analyze(tmp_path / "drawn.toml").extremes["C.transmission_rad"]
+    assert f"from {math.degrees(extreme.least):.2f} to {math.degrees(extreme.largest):.2f} deg" in page
 
 
 def test_the_page_of_builders_has_the_optima_of_independent_formulas():

@@ -149,6 +149,12 @@ def test_the_crank_rocker_page_has_the_published_figures(crank_rocker_subject):
     assert text.count('<span class="good">ok</span>') == len(checks) - len(bounds) + 1
 
 
+def test_the_page_states_a_proof_and_the_dimensions_once(crank_rocker_subject):
+    shown = re.sub(r"<(script|style|title)\b.*?</\1>|<[^>]+>", " ", page(crank_rocker_subject), flags=re.DOTALL)
+    assert shown.count("globally optimal within the bounds") == 1
+    assert "coupler BC" not in shown  # in the drawing, and in words for those who do not see it
+
+
 @pytest.mark.slow
 def test_an_invalid_design_is_marked_invalid():
     text = page(subject("crank-rocker", {"coupler": 0.41, "rocker": 0.22}))

@@ -52,8 +52,12 @@ def _report(model: ReportModel) -> StoredStudy:
     view, requested = view_of(outcome.kind), model.effects is not None
     effects = model.effects or sensitivities_of(model)
     with single_units():
-        shown = view.table(outcome)
-        sections = [PageSection(view.heading, (list(shown.parts),)), PageSection("Curves", charts(model))]
+        shown, proof = (
+            view.table(outcome),
+            getattr(getattr(outcome, "certificate", None), "text", ""),
+        )  # stated once, by the table
+        curves = [replace(one, remark="" if one.remark == proof else one.remark) for one in charts(model)]
+        sections = [PageSection(view.heading, (list(shown.parts),)), PageSection("Curves", curves)]
         if effects is not None:
             tornado = [replace(one, brief=requested) for one in sensitivity.charts(effects)]
             parts: list[Any] = [*tornado, tuple(sensitivity.parts(effects))]
@@ -125,10 +129,13 @@ def sensitivities_of(model: ReportModel) -> Sensitivities | None:
 
 
 def _status(model: ReportModel, shown: Summary) -> Sequence[Sequence[Span]]:
-    """Return the lines of the status, without what the conclusion states: a conflict, the change of one objective."""
-    outcome = model.result
+    """Return the lines of the status, without what the conclusion states: a conflict, a proof, the change of one objective."""
+    outcome: Any = model.result
     if getattr(outcome, "refuted", ""):
         return shown.status.lines[1:]
+    proof = getattr(outcome, "certificate", None)
+    if proof is not None and proof.closed and outcome.valid:
+        shown = replace(shown, status=Paragraph(*(line for line in shown.status.lines if line[0].text != proof.text)))
     comparison = getattr(getattr(outcome, "best", None), "comparison", "")
     if not comparison or not (spec := outcome.problem.spec).single or not comparison.startswith(spec.goals[0].words):
         return shown.status.lines
