@@ -60,8 +60,17 @@ def report(
 def export(
     source: Problem,
     output: Annotated[
-        Path, option("FILE", "File to write; its suffix selects the format: .dxf, .svg, .csv or .json.", "-o", "--out")
+        Path,
+        option("FILE", "File to write; its suffix selects the format: .dxf, .svg, .stl, .3mf, .csv or .json.", "-o", "--out"),
     ],
+    content: Annotated[
+        str | None,
+        option(
+            "WORD",
+            "What to write: drawing (.dxf and .svg), parts to cut (.dxf, .svg) or to print (.stl, .3mf), assembly (.stl, .3mf).",
+            "--content",
+        ),
+    ] = None,
     at: Annotated[
         str | None,
         option(
@@ -70,8 +79,8 @@ def export(
             "--at",
         ),
     ] = None,
-    hole: Annotated[str | None, option("SIZE", 'DXF: hole diameter: --hole "8 mm".', "--hole")] = None,
-    width: Annotated[str | None, option("SIZE", 'DXF: link width: --width "20 mm".', "--width")] = None,
+    hole: Annotated[str | None, option("SIZE", 'DXF and parts: hole diameter: --hole "8 mm".', "--hole")] = None,
+    width: Annotated[str | None, option("SIZE", 'DXF and parts: link width: --width "20 mm".', "--width")] = None,
     points: Annotated[int, number("CSV: steps of the table per revolution.", "--points")] = 360,
     even_invalid: Annotated[bool, flag("Write the design even if it is not valid.", "--even-invalid")] = False,
     backend: Searcher = "ipopt",
@@ -82,7 +91,7 @@ def export(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Export a design to DXF, SVG, CSV or JSON."""
+    """Export a design: drawing, parts to cut or print, motion, geometry."""
     from optlink.presentation.export.export import FORMATS, Options, export as write
     from optlink.presentation.files import check_target
 
@@ -95,6 +104,7 @@ def export(
         console.quantity(hole, "length", "--hole"),
         console.quantity(width, "length", "--width"),
         points,
+        content,
     )
     with console.working("Reading or solving the problem"):
         about = _report_model(source, output, (backend, starts, seed), changes, design)

@@ -233,7 +233,7 @@ def _texts(value: Any, depth: int = 0) -> Iterator[str]:
         yield from _texts(item, depth + 1)
 
 
-WORDS = ("format", "title", "source", "about", "report", "expected")
+WORDS = ("format", "title", "source", "about", "report", "parts", "made", "expected")
 
 
 def shipped() -> dict[str, Path]:
@@ -692,6 +692,8 @@ def _fixed(path: tuple[str, ...]) -> bool:
         ("bodies",),
         ("joints",),
         ("loads",),
+        ("parts", "links"),
+        ("parts", "joints"),
     }
 
 
