@@ -21,7 +21,7 @@ from pydantic.fields import FieldInfo
 
 import optlink
 from optlink.errors import InputError
-from optlink.problem.base_model import Section
+from optlink.problem.base_model import Section, spellings
 from optlink.problem.design import DesignProblem
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
@@ -51,6 +51,7 @@ NARRATED = {
     "balance": "balancing.md#the-section-balance",
     "expected": "problem-files.md#expected",
     "report": "problem-files.md#report",
+    "parts": "parts.md#the-section-parts",
     "requirement": "problem-files.md#kinds-of-requirement",
     "requirements": "problem-files.md#several-demands",
     "limits": "problem-files.md#limits",
@@ -117,7 +118,7 @@ def _differs(root: type[Problem], name: str) -> bool:
 def _within(path: str, fields: Mapping[str, FieldInfo], root: type[Problem]) -> Iterator[Part]:
     for name, field in fields.items():
         for suffix, model, many in _models(field.annotation):
-            below = f"{path}.{name}".strip(".") + suffix
+            below = f"{path}.{spellings(name, field)[0]}".strip(".") + suffix
             yield Part(below, model, root, many)
             yield from _within(below, model.model_fields, root)
             if model.model_config.get("extra") == "allow":  # tables under names of the user's choice
@@ -233,7 +234,7 @@ def _files() -> Iterator[tuple[Mapping[str, Any], Problem]]:
 
 def _stated(model: type[Section], raw: Mapping[str, Any]) -> Iterator[tuple[type[Section], str, Any]]:
     for name, field in model.model_fields.items():
-        key = field.alias or name
+        key = spellings(name, field)[0]
         if key not in raw:
             continue
         below = list(_models(field.annotation))
@@ -273,7 +274,7 @@ def example(model: type[Section], name: str) -> str:
             return ""
         text = KINDS[found[1]].example
         known = f'{{ max = "{text}" }}' if found[0] == "read_interval" else f'"{text}"'
-    return f"{field.alias or name} = {known}"
+    return f"{spellings(name, field)[0]} = {known}"
 
 
 # --- the page --------------------------------------------------------------------------------------------------------------
@@ -298,7 +299,7 @@ def _table(part: Part) -> str:
         said = description(part.model, name) + ("" if default in ("", "required") else f" Default: {default}.")
         shown = example(part.model, name)
         says = said + (f"<br>`{shown}`" if shown else "")
-        key = f"`{field.alias or name}`" + (" *required*" if default == "required" else "")
+        key = f"`{spellings(name, field)[0]}`" + (" *required*" if default == "required" else "")
         lines.append(f"| {key} | {_cell(value(part.model, name))} | {_cell(says)} |")
     return "\n".join(lines)
 

@@ -64,8 +64,21 @@ def export(
     source: Problem,
     output: Annotated[
         Path,
-        option("FILE", "File to write; its suffix selects the format: .dxf, .svg, .csv, .json or .xml (MuJoCo).", "-o", "--out"),
+        option(
+            "FILE",
+            "File to write; its suffix selects the format: .dxf, .svg, .stl, .3mf, .csv, .json or .xml (MuJoCo).",
+            "-o",
+            "--out",
+        ),
     ],
+    content: Annotated[
+        str | None,
+        option(
+            "WORD",
+            "What to write: drawing (.dxf and .svg), parts to cut (.dxf, .svg) or to print (.stl, .3mf), assembly (.stl, .3mf).",
+            "--content",
+        ),
+    ] = None,
     at: Annotated[
         str | None,
         option(
@@ -74,8 +87,8 @@ def export(
             "--at",
         ),
     ] = None,
-    hole: Annotated[str | None, option("SIZE", 'DXF: hole diameter: --hole "8 mm".', "--hole")] = None,
-    width: Annotated[str | None, option("SIZE", 'DXF: link width: --width "20 mm".', "--width")] = None,
+    hole: Annotated[str | None, option("SIZE", 'DXF and parts: hole diameter: --hole "8 mm".', "--hole")] = None,
+    width: Annotated[str | None, option("SIZE", 'DXF and parts: link width: --width "20 mm".', "--width")] = None,
     points: Annotated[int, number("CSV: steps of the table per revolution.", "--points")] = 360,
     even_invalid: Annotated[bool, flag("Write the design even if it is not valid.", "--even-invalid")] = False,
     backend: Searcher = "ipopt",
@@ -86,7 +99,7 @@ def export(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Export a design to DXF, SVG, CSV, JSON or MuJoCo (MJCF)."""
+    """Export a design: drawing, parts to cut or print, motion, geometry, a model of MuJoCo."""
     from optlink.presentation.export.export import FORMATS, Options, export as write
     from optlink.presentation.files import check_target
 
@@ -99,6 +112,7 @@ def export(
         console.quantity(hole, "length", "--hole"),
         console.quantity(width, "length", "--width"),
         points,
+        content,
     )
     with console.working("Reading or solving the problem"):
         about = _report_model(source, output, (backend, starts, seed), changes, design)

@@ -31,7 +31,7 @@ else:
     Subject = AnyProblem | Document  # all results are documents
 
 
-def content(source: Subject, facts: Mapping[str, Any], name: str = "") -> ReportModel | StoredStudy:
+def page_content(source: Subject, facts: Mapping[str, Any], name: str = "") -> ReportModel | StoredStudy:
     """Return what the page of a result shows; a problem is solved first, or analysed if it has nothing to design.
 
     `facts` are keys of `[report]`, such as the title, which stand at its head; `name` is the file of the result, for errors.
@@ -81,7 +81,7 @@ def report(source: Subject, file: str | Path, facts: Mapping[str, str] | None = 
     from optlink.presentation.html.page import write_page
 
     path = check_target(Path(file), (".html", ".htm"), "report.html", "file")
-    write_page(content(source, {f"report.{key}": text for key, text in (facts or {}).items()}), path, brief=brief)
+    write_page(page_content(source, {f"report.{key}": text for key, text in (facts or {}).items()}), path, brief=brief)
     return path
 
 
@@ -95,23 +95,26 @@ def export(
     width: float | None = None,
     points: int = 360,
     even_invalid: bool = False,
+    content: str | None = None,
 ) -> Path:
-    """Export a design: a drawing at a crank angle as DXF or SVG, its motion as CSV, its geometry as JSON.
+    """Export a design: a drawing at a crank angle as DXF or SVG, its parts to cut or print, its motion as CSV, geometry as JSON.
 
     Parameters
     ----------
     source : Result, ProblemFile, str or Path
         Result of `solve`, `validate` or `analyze`; or a problem, which is solved first, or analysed if it has nothing to design.
     file : str or Path
-        File to write; its suffix selects the format: .dxf, .svg, .csv, .json or .xml (MuJoCo).
+        File to write; its suffix selects the format: .dxf, .svg, .stl, .3mf, .csv, .json or .xml (MuJoCo).
     at : float [rad] or [m], optional
         Crank angle of the drawing; of a slide or cylinder that drives, its slide or length. Default: the start of the motion.
     hole, width : float [m], optional
-        Hole diameter and link width of the DXF drawing.
+        Hole diameter and link width of the DXF drawing and of the parts.
     points : int
         Steps of the CSV table per revolution.
     even_invalid : bool
         Write the design even if it is not valid.
+    content : str, optional
+        "drawing" (.dxf, .svg), "parts" (.dxf, .svg, .stl, .3mf) or "assembly" (.stl, .3mf); default: the first for the suffix.
 
     Returns
     -------
@@ -135,8 +138,8 @@ def export(
     from optlink.presentation.files import check_target
 
     path = check_target(Path(file), tuple(FORMATS), "drawing.dxf", "file")
-    options = Options(at, hole, width, points)
-    model = single_design(content(source, {}))
+    options = Options(at, hole, width, points, content)
+    model = single_design(page_content(source, {}))
     if not (model.valid or even_invalid):
         raise InputError(f"{model.verdict}. Nothing was written", "Set even_invalid to write it anyway", model.problem.file)
     write(model, path, options)

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import (
+    AliasChoices,
     BaseModel,
     BeforeValidator,
     ConfigDict,
     GetCoreSchemaHandler,
     ValidationInfo,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema
 
 from optlink.linkage.mechanism import FRAME
@@ -54,6 +56,12 @@ class Section(BaseModel):
         schema = handler(source)
         _strict(schema)
         return schema
+
+
+def spellings(name: str, field: FieldInfo) -> list[str]:
+    """Return the keys of a file that state a field, the usual one first."""
+    also = field.validation_alias
+    return [str(key) for key in also.choices] if isinstance(also, AliasChoices) else [name]
 
 
 def folder_of(info: ValidationInfo) -> Path:

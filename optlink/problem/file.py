@@ -234,7 +234,7 @@ def _texts(value: Any, depth: int = 0) -> Iterator[str]:
         yield from _texts(item, depth + 1)
 
 
-WORDS = ("format", "title", "source", "about", "report", "expected")
+WORDS = ("format", "title", "source", "about", "report", "parts", "made", "expected")
 
 
 def shipped() -> dict[str, Path]:
@@ -693,6 +693,8 @@ def _fixed(path: tuple[str, ...]) -> bool:
         ("bodies",),
         ("joints",),
         ("loads",),
+        ("parts", "links"),
+        ("parts", "joints"),
     }
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import pydantic
 
 from optlink.errors import Fault
-from optlink.problem.base_model import ALSO_WRITTEN, Ends, Section, written
+from optlink.problem.base_model import ALSO_WRITTEN, Ends, Section, spellings, written
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import OF_QUANTITY, OF_REGION, Limits, RegionLimit, four_bar_limits
 from optlink.problem.machine.loads import kind_of
@@ -80,7 +80,7 @@ def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
     """Return the keys that models of these kinds (default: any kind) have at a path of sections, the outermost first."""
     models: list[Any] = list(kinds) or [DesignProblem, Problem, *marked_kinds().values()]
     for step in path:
-        fields = [field for model in models for name, field in model.model_fields.items() if step == name]
+        fields = [field for model in models for name, field in model.model_fields.items() if step in spellings(name, field)]
         if fields:  # otherwise the step is the name of a body, a point ...: the models stay the same
             models = [model for f in fields for model in _models(f.annotation)]
         elif any(issubclass(model, Limits) for model in models):  # a limit of a quantity of the machine
@@ -92,8 +92,7 @@ def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
 
 def keys_of(model: type[pydantic.BaseModel]) -> list[str]:
     """Return the keys of a model, in all their spellings."""
-    fields = ((name, field.validation_alias) for name, field in model.model_fields.items())
-    return [str(key) for name, also in fields for key in (also.choices if isinstance(also, pydantic.AliasChoices) else [name])]
+    return [key for name, field in model.model_fields.items() for key in spellings(name, field)]
 
 
 def keys_ending(raw: Mapping[str, Any], end: str, above: str = "") -> list[str]:

@@ -14,14 +14,14 @@ import textwrap
 from collections.abc import Callable
 from typing import Any
 
-from pydantic import AliasChoices, TypeAdapter
+from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import core_schema
 
 from optlink.clearance.joint import DAMPING
 from optlink.io import load_extensions
 from optlink.linkage.laws import SEGMENTS
-from optlink.problem.base_model import NAME, SPELLINGS, Section
+from optlink.problem.base_model import NAME, SPELLINGS, Section, spellings
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import OF_QUANTITY, OF_REGION
 from optlink.problem.machine.balance import BalanceSection
@@ -356,7 +356,7 @@ class _Generator(GenerateJsonSchema):
         result |= {"description": result.get("description", "").split("\n\n")[0]}
         del result["title"]
         for name, field in model.model_fields.items():
-            also = field.validation_alias.choices if isinstance(field.validation_alias, AliasChoices) else [name]
+            also = spellings(name, field)
             stated = keys.pop(also[0])
             about = {"default": stated.pop("default")} if "default" in stated else {}
             form = FORMS.get(f"{owner(model, name).__name__}.{name}", stated)

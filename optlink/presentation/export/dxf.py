@@ -91,7 +91,7 @@ def document(
     machine = cycle.machine
     motion = sweep(machine.mechanism, machine.sizes, [at])
     drawn = scene(cycle, regions=regions)
-    body, least = _nearest_holes(machine.mechanism, motion)
+    body, least = nearest_holes(machine.mechanism, motion)
     diameter = usual_hole(min(max(drawn.box[2:]), MAX_HOLE_SHARE * least / HOLE)) if hole is None else 1e3 * hole
     if diameter >= least:
         message = f"two holes of {body} would overlap: they are {least:.6g} mm apart"
@@ -124,7 +124,7 @@ def document(
     return drawing
 
 
-def _nearest_holes(mechanism: Mechanism, motion: Motion) -> tuple[str, float]:
+def nearest_holes(mechanism: Mechanism, motion: Motion) -> tuple[str, float]:
     """Return the body with the least distance of two holes, and that distance [mm]; infinite if no body has two."""
     distances = [("", math.inf)]
     for body in (*mechanism.bodies, FRAME):
@@ -192,6 +192,10 @@ def rounded(points: Array, radius: float) -> tuple[Vertex, ...]:
     corners = _distinct(points, COINCIDENT * max(extent, radius))
     if len(corners) > 2:
         corners = hull(corners)
+        arms = np.roll(corners, -1, axis=0) - corners
+        before = np.roll(arms, 1, axis=0)
+        sines = (before[:, 0] * arms[:, 1] - before[:, 1] * arms[:, 0]) / np.prod(np.linalg.norm([before, arms], axis=2), axis=0)
+        corners = corners[sines > COINCIDENT] if np.sum(sines > COINCIDENT) > 2 else corners
         order = in_line(corners, COINCIDENT * extent)
         corners = corners if order is None else corners[order[[0, -1]]]
     if len(corners) == 1:

@@ -1,4 +1,4 @@
-"""Export of a design: DXF and SVG drawings at a crank angle, motion as CSV, geometry as JSON, a model of MuJoCo."""
+"""Export of a design: drawings at a crank angle, parts to cut or print, motion as CSV, geometry as JSON, a model of MuJoCo."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from optlink.linkage.stroke import failure
 from optlink.linkage.vector2d import Array, Vector
 from optlink.presentation.files import check_target, write_csv
 from optlink.presentation.report_model import ReportModel
-from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range
+from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range, nearest
 from optlink.tasks.analyze import MAX_POINTS, Analysis, analyze
 
 SCHEMA = "optlink/geometry/1"
@@ -29,7 +29,7 @@ FORCES = ("_N", "_Nm", "_J", "_W")
 class Options:
     """Export options: crank angle `at` [rad], of a slide or cylinder its slide or length [m] (default: start of the motion).
 
-    Hole and width [m], rows of the table.
+    Hole and width [m], rows of the table, content of the file (default: the first one that its format can have).
 
     Raises
     ------
@@ -41,6 +41,7 @@ class Options:
     hole: float | None = None
     width: float | None = None
     points: int = 360
+    content: str | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -62,7 +63,7 @@ def export(model: ReportModel, path: Path, options: Options | None = None) -> No
     ----------
     model : ReportModel
     path : Path
-        Extension .dxf, .svg, .csv, .json or .xml (MJCF of MuJoCo).
+        Its extension is one of `FORMATS`.
     options : Options or None, optional
         Default: `Options()`.
 
@@ -76,7 +77,12 @@ def export(model: ReportModel, path: Path, options: Options | None = None) -> No
     if model.cycle is None:
         remedy = "Check it with optlink validate, and export another design"
         raise InputError(f"the design cannot be drawn: {model.unmoved}", remedy, model.problem.file)
-    FORMATS[path.suffix.lower()](model, model.cycle, path, options)
+    contents = FORMATS[path.suffix.lower()]
+    if options.content is not None and options.content not in contents:
+        others = [ending for ending, known in FORMATS.items() if options.content in known]
+        remedy = f"Write a {' or '.join(others)} file" if others else nearest(options.content, contents)
+        raise InputError(f"a {path.suffix} file cannot have this content", remedy, key="--content", value=options.content)
+    contents[options.content or next(iter(contents))](model, model.cycle, path, options)
 
 
 def place_of(cycle: Analysis, at: float | None, key: str = "--at") -> float:
@@ -144,6 +150,39 @@ def _json(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> 
     write_json(path, geometry(model, cycle, place_of(cycle, options.at)))
 
 
+def _cutting(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    """Write the parts for laser cutting."""
+    from optlink.presentation.export.cutting import WRITERS
+    from optlink.presentation.parts.model import part_set
+
+    write = WRITERS[path.suffix.lower()]
+    parts = part_set(cycle, options.hole, options.width)
+    with whole(path) as temporary:
+        write(parts, model.problem.model.title, temporary)
+
+
+def _printing(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    """Write the parts as solids on a plate."""
+    from optlink.presentation.export.printing import WRITERS, on_plate
+    from optlink.presentation.parts.model import part_set
+
+    solids = [*on_plate(part_set(cycle, options.hole, options.width))]
+    with whole(path) as temporary:
+        WRITERS[path.suffix.lower()](solids, model.problem.model.title, temporary)
+
+
+def _assembly(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    """Write the parts and pins as solids in their layers, at a crank angle."""
+    from optlink.presentation.export.printing import WRITERS, assembled
+    from optlink.presentation.parts.layers import stacked
+    from optlink.presentation.parts.model import part_set
+
+    motion = sweep(cycle.machine.mechanism, cycle.machine.sizes, [place_of(cycle, options.at)])
+    solids = [*assembled(stacked(part_set(cycle, options.hole, options.width)), motion)]
+    with whole(path) as temporary:
+        WRITERS[path.suffix.lower()](solids, model.problem.model.title, temporary)
+
+
 def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
     """Return the linkage as a JSON document [SI]: points of the bodies in their own axes, and all positions at a crank angle."""
     from optlink.presentation.export.dxf import travelled
@@ -197,5 +236,13 @@ def _mjcf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> 
 
 
 Writer = Callable[[ReportModel, Analysis, Path, Options], None]
-FORMATS: dict[str, Writer] = {".dxf": _dxf, ".svg": _svg, ".csv": _csv, ".json": _json, ".xml": _mjcf}
-"""What can be written, by the ending of the file."""
+FORMATS: dict[str, dict[str, Writer]] = {
+    ".dxf": {"drawing": _dxf, "parts": _cutting},
+    ".svg": {"drawing": _svg, "parts": _cutting},
+    ".stl": {"parts": _printing, "assembly": _assembly},
+    ".3mf": {"parts": _printing, "assembly": _assembly},
+    ".csv": {"motion": _csv},
+    ".json": {"geometry": _json},
+    ".xml": {"model": _mjcf},
+}
+"""What can be written, by the ending of the file and by content, the usual one first."""

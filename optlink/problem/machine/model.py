@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, AliasChoices, BeforeValidator, Field
 
 from optlink.clearance.joint import Gap
 from optlink.dynamics.machine import Machine
@@ -24,6 +24,7 @@ from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.machine.bodies import BodySection, DriveMotion, DriveSection, Gravity, JointSection
 from optlink.problem.machine.control import ControlSection, MeasuredSeries, read_measured
 from optlink.problem.machine.loads import LoadSection, RevolutionSamples
+from optlink.problem.machine.parts import PartsSection
 from optlink.problem.mechanism import DyadsSection, FourBarSection, nearest_modes, sizes_of
 from optlink.problem.quantity import (
     FixedAngle,
@@ -153,6 +154,8 @@ class Problem(Section):
     deviations, or `{ tolerance, distribution, cost }`."""
     report: ReportSection = ReportSection()
     """Head of the report page: title, company, author, part, revision, date."""
+    made: PartsSection = Field(default=PartsSection(), validation_alias=AliasChoices("parts"))
+    """How the links are cut or printed: width, thickness, holes, pins."""
     expected: Expected | None = None
     """Reference values from a trusted source; the tests check them for every shipped problem."""
 
@@ -307,6 +310,8 @@ class Problem(Section):
         gaps = self.gaps(machine)
         with below("tolerances"):
             _ = self.deviations
+        with below("parts"):
+            self.made.check(machine.mechanism)
         if self.control is not None:
             with below("control"):
                 self.control.check(machine, gaps)

@@ -1,0 +1,304 @@
+"""Links as flat parts [mm]: outlines of straight edges and arcs, holes, slots and pins.
+
+A block whose only point is a pin becomes that pin, which runs in a slot of the other body of its guide: the same motion. Any
+other sliding body runs with two pins in the slot.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from optlink.errors import InputError
+from optlink.linkage.mechanism import FRAME, Guide, Mechanism
+from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.vector2d import TURN, Array
+from optlink.presentation.export.dxf import HOLE, MAX_HOLE_SHARE, WIDTH, Vertex, nearest_holes, rounded, travelled, usual_hole
+from optlink.presentation.format import round_below
+from optlink.presentation.scene import named_points, scene
+from optlink.problem.quantity import Quantity
+from optlink.tasks.analyze import Analysis
+
+MM = 1e3
+THICKNESS, SPACER = 0.75, 0.2  # default thickness of links and washers in hole diameters
+HEAD, HEAD_HEIGHT = 1.6, 0.6  # default diameter and height of a pin's head in pin diameters
+STEPS = 720  # positions per revolution at which slots, pins and distances are computed
+SAME = 1e-6  # distance of coincident points, as a share of the hole diameter
+
+
+@dataclass(frozen=True, eq=False)
+class Opening:
+    """A hole or a slot of a part [mm]: a pin may be anywhere between its ends (2, 2), which are equal in a hole."""
+
+    joint: str
+    ends: Array
+    diameter: float
+
+    @property
+    def outline(self) -> tuple[Vertex, ...]:
+        """Its edge, counter-clockwise."""
+        return rounded(self.ends, 0.5 * self.diameter)
+
+
+@dataclass(frozen=True, eq=False)
+class FlatPart:
+    """A link as a flat part in its own axes [mm]: its outline is half the width away from the hull of its openings and marks."""
+
+    name: str
+    openings: tuple[Opening, ...]
+    marks: Mapping[str, Array]
+    width: float
+    thickness: float
+
+    @cached_property
+    def core(self) -> Array:
+        """Points (n, 2) from whose convex hull the outline keeps half the width."""
+        return np.array([*(end for one in self.openings for end in one.ends), *self.marks.values()]).reshape(-1, 2)
+
+    @property
+    def outline(self) -> tuple[Vertex, ...]:
+        """Its edge, counter-clockwise."""
+        return rounded(self.core, 0.5 * self.width)
+
+    @property
+    def corners(self) -> tuple[Array, Array]:
+        """Lower left and upper right corner (2,) of the rectangle round it."""
+        return self.core.min(axis=0) - 0.5 * self.width, self.core.max(axis=0) + 0.5 * self.width
+
+
+@dataclass(frozen=True, eq=False)
+class Pin:
+    """A pin [mm], fixed at a point `at` (2,) of the body `on` in the axes of that; the parts that it joins."""
+
+    name: str
+    on: str
+    at: Array
+    diameter: float
+    head: float
+    parts: tuple[str, ...]
+
+    @property
+    def height(self) -> float:
+        """Height of a head; zero without heads."""
+        return HEAD_HEIGHT * self.diameter if self.head > self.diameter else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class PartSet:
+    """The parts and pins of a linkage over its motion; `spacer` [mm] between two layers, `file` names the problem in errors."""
+
+    parts: Mapping[str, FlatPart]
+    pins: tuple[Pin, ...]
+    spacer: float
+    motion: Motion
+    file: str
+
+    @property
+    def pitch(self) -> float:
+        """Distance of two layers [mm]."""
+        return max(part.thickness for part in self.parts.values()) + self.spacer
+
+
+def part_set(cycle: Analysis, hole: float | None = None, width: float | None = None) -> PartSet:
+    """Return the links of a machine as parts, with hole diameter and link width [m] in place of those of the problem file.
+
+    Raises
+    ------
+    InputError
+        If a link cannot be made of a flat part, or two of its openings overlap.
+    """
+    return _Maker(cycle, hole, width).made()
+
+
+class _Maker:
+    """Makes the parts of a machine."""
+
+    def __init__(self, cycle: Analysis, hole: float | None, width: float | None) -> None:
+        self.cycle, self.file, self.section = cycle, cycle.problem.file, cycle.problem.model.made
+        mechanism, sizes = cycle.machine.mechanism, cycle.machine.sizes
+        self.mechanism: Mechanism = mechanism
+        direction = math.copysign(1.0, cycle.speed)
+        first, last = float(cycle.positions[0]), float(cycle.positions[-1])
+        last = first + direction * cycle.cycle if cycle.full else last
+        count = max(2, math.ceil(abs(last - first) / TURN * STEPS)) + 1
+        self.motion = sweep(mechanism, sizes, np.linspace(first, last, count))
+        self.points = {
+            body: {name: MM * at for name, at in named_points(self.motion, body).items()} for body in (FRAME, *mechanism.bodies)
+        }
+        drawn = scene(cycle)
+        for body in (*mechanism.cylinders, *mechanism.rods):
+            message = f"{body} is a cylinder, a part to buy: parts of linkages with cylinders are not supported"
+            raise InputError(message, "Export the drawing: leave --content out, and write a .dxf file", self.file)
+        for body, profiles in drawn.profiles.items():
+            message = f"{body} has the profile of a cam, gear or pulley, which is not supported as a part"
+            if profiles:
+                raise InputError(message, "Export the drawing: leave --content out, and write a .dxf file", self.file)
+        least = nearest_holes(mechanism, self.motion)[1]
+        extent = min(max(drawn.box[2:]), MAX_HOLE_SHARE * least / HOLE)
+        self.hole = self._size(self.section.hole, usual_hole(extent), hole)
+        self.width = self._size(self.section.width, WIDTH * self.hole, width)
+        self.thickness = self._size(self.section.thickness, round(round_below(THICKNESS * self.hole, room=1e-9), 6))
+
+    @staticmethod
+    def _size(stated: Quantity | None, usual: float, option: float | None = None) -> float:
+        """Return a size [mm]: that of the option [m], of the file, or the usual one."""
+        return MM * option if option is not None else usual if stated is None else MM * stated.value
+
+    def made(self) -> PartSet:
+        """Return parts and pins."""
+        openings: dict[str, list[Opening]] = {body: [] for body in (FRAME, *self.mechanism.bodies)}
+        pins: list[Pin] = []
+        blocks = dict(self._blocks())
+        for name, owners in self.mechanism.pins.items():
+            guide = next((blocks[body] for body in owners if body in blocks), None)
+            slotted = None if guide is None else guide.other(next(body for body in owners if body in blocks))
+            bodies = [body for body in owners if body not in blocks]
+            for body in bodies:
+                openings[body].append(self._hole(name, self.points[body][name]))
+            on = owners[0] if bodies == [] else bodies[0]
+            if guide is not None and slotted is not None:
+                openings[slotted].append(self._slot(name, guide, slotted))
+                bodies.append(slotted)
+            pins.append(self._pin(name, on, self.points[on][name], bodies))
+        for guide in self._guides(blocks):
+            for end, at in zip("ab", self._ends(guide), strict=True):
+                name = f"{guide.name}.{end}"
+                openings[guide.slider].append(self._hole(name, at))
+                pins.append(self._pin(name, guide.slider, at, [guide.slider, guide.on]))
+            openings[guide.on].append(self._slot(guide.name, guide, guide.on))
+        parts = {body: self._part(body, tuple(found)) for body, found in openings.items() if found and body not in blocks}
+        spacer = self._size(self.section.spacer, round(round_below(SPACER * self.hole, room=1e-9), 6))
+        return PartSet(parts, tuple(pins), spacer, self.motion, self.file)
+
+    def _blocks(self) -> Iterator[tuple[str, Guide]]:
+        """Yield the bodies that only join a pin to a guide."""
+        guides = self.mechanism.guides
+        taken: set[str] = set()
+        for guide in guides:
+            for body in guide.bodies:
+                alone = body != FRAME and len(self.points[body]) == 1 and sum(body in one.bodies for one in guides) == 1
+                if alone and guide.name not in taken and next(iter(self.points[body])) in self.mechanism.pins:
+                    taken.add(guide.name)
+                    yield body, guide
+
+    def _guides(self, blocks: Mapping[str, Guide]) -> list[Guide]:
+        return [guide for guide in self.mechanism.guides if guide not in blocks.values()]
+
+    def _of_joint(self, name: str) -> tuple[float, float]:
+        """Return the diameters of holes and pin of a joint [mm]."""
+        own = self.section.joints.get(name)
+        hole = self._size(own.hole if own else None, self.hole)
+        usual = self._size(self.section.pin, hole)
+        pin = self._size(own.pin if own else None, min(usual, hole) if own and own.hole else usual)
+        if pin > hole:
+            message = f"the pin of {name} is thicker than its holes, which measure {hole:.6g} mm"
+            key = f"parts.joints.{name}.pin" if own and own.pin else "parts.pin"
+            raise InputError(message, "Give a thinner pin or a larger hole", self.file, key, f"{pin:.6g} mm")
+        return hole, pin
+
+    def _hole(self, name: str, at: Array) -> Opening:
+        return Opening(name, np.array([at, at]), self._of_joint(name)[0])
+
+    def _pin(self, name: str, on: str, at: Array, parts: list[str]) -> Pin:
+        diameter = self._of_joint(name)[1]
+        head = self._size(self.section.head, HEAD * diameter)
+        return Pin(name, on, at, diameter, max(head, diameter), tuple(dict.fromkeys(parts)))
+
+    def _slot(self, name: str, guide: Guide, body: str) -> Opening:
+        """Return the slot in one body of a guide, in which the pin of the other one, or its two pins, run."""
+        low, high = travelled(self.cycle, guide)
+        point, direction = (np.array([float(part) for part in one]) for one in self.motion.pose.local_line(guide, body))
+        slides = np.asarray(self.motion.slide(guide.name).value)
+        k = int(np.flatnonzero(np.isfinite(slides))[0])
+        if body == guide.on:
+            ends = MM * (point + np.array([[low], [high]]) * direction)
+            other = guide.slider
+        else:
+            ends = np.zeros((2, 2))
+            other = guide.on
+        if name in self.mechanism.pins:  # the pin of a block
+            place = local(self.motion, body, MM * self.motion.position(name))[k]
+            way = direction if body == guide.on else -direction
+            ends = place + MM * (np.array([[low], [high]]) - slides[k]) * way
+        else:
+            ends += np.array([[-1.0], [1.0]]) * self._width(other) * direction
+        return Opening(name, ends, self._of_joint(name)[0])
+
+    def _ends(self, guide: Guide) -> Array:
+        """Return the places (2, 2) of the two pins of a sliding body."""
+        point, direction = (np.array([float(part) for part in one]) for one in self.motion.pose.local_line(guide, guide.slider))
+        return np.asarray(MM * point + np.array([[-1.0], [1.0]]) * self._width(guide.slider) * direction)
+
+    def _width(self, body: str) -> float:
+        own = self.section.links.get(body)
+        return self._size(own.width if own else None, self.width)
+
+    def _part(self, body: str, openings: tuple[Opening, ...]) -> FlatPart:
+        own, width = self.section.links.get(body), self._width(body)
+        free = {} if body == FRAME else self.points[body]
+        marks = {name: at for name, at in free.items() if name not in self.mechanism.pins}
+        part = FlatPart(body, openings, marks, width, self._size(own.thickness if own else None, self.thickness))
+        widest = max(openings, key=lambda one: one.diameter)
+        if width <= widest.diameter:
+            message = f"{body} is not wider than its hole at {widest.joint}, which measures {widest.diameter:.6g} mm"
+            key = f"parts.links.{body}.width" if own and own.width else "parts.width"
+            raise InputError(message, "Give a greater width or a smaller hole", self.file, key, f"{width:.6g} mm")
+        for one, other in itertools.combinations(openings, 2):
+            away = float(distance(one.ends[None], other.ends[None])[0])
+            if away < 0.5 * (one.diameter + other.diameter):
+                message = f"the openings {one.joint} and {other.joint} of {body} overlap: their centres are {away:.6g} mm apart"
+                remedy = (
+                    "Give a smaller hole or change the linkage" if away > 0.0 else "Change the linkage: no flat part has both"
+                )
+                raise InputError(message, remedy, self.file, "parts.hole", f"{self.hole:.6g} mm")
+        return part
+
+
+def local(motion: Motion, body: str, at: Array) -> Array:
+    """Return places (positions, 2) [mm] in the axes of a body."""
+    if body == FRAME:
+        return at
+    away = at - MM * motion.position(motion.mechanism.origin(body))
+    turned = np.asarray(motion.body_angle(body).value)
+    c, s = np.cos(turned), np.sin(turned)
+    return np.stack([c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]], axis=1)
+
+
+def placed(motion: Motion, body: str, points: Array) -> Array:
+    """Return points (n, 2) [mm] of a body at all positions (positions, n, 2)."""
+    count = len(motion.crank_angle)
+    if body == FRAME:
+        return np.broadcast_to(points, (count, *points.shape))
+    turned = np.broadcast_to(np.asarray(motion.body_angle(body).value), count)
+    c, s = np.cos(turned)[:, None], np.sin(turned)[:, None]
+    at = np.stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=2)
+    return np.asarray(at + MM * motion.position(motion.mechanism.origin(body))[:, None])
+
+
+def distance(first: Array, second: Array) -> Array:
+    """Return the distances (positions,) of two convex polygons (positions, corners, 2), counter-clockwise; zero if they meet.
+
+    A polygon of one corner is a point, of two a segment.
+    """
+    least = np.full(len(first), np.inf)
+    for one, other in ((first, second), (second, first)):
+        edges = [(one[:, k], np.roll(one, -1, axis=1)[:, k]) for k in range(one.shape[1])]
+        for (begin, end), k in itertools.product(edges, range(other.shape[1])):
+            along, away = end - begin, other[:, k] - begin
+            share = np.clip(np.sum(along * away, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-30), 0.0, 1.0)
+            least = np.minimum(least, np.linalg.norm(away - share[:, None] * along, axis=1))
+        if len(edges) > 2:  # a corner of the other one inside
+            sides = np.array([_cross(end - begin, other[:, 0] - begin) for begin, end in edges])
+            least = np.where(np.all(sides >= 0.0, axis=0), 0.0, least)
+        for (a, b), k in itertools.product(edges, range(other.shape[1])):
+            c, d = other[:, k], other[:, (k + 1) % other.shape[1]]
+            across = (_cross(b - a, c - a) * _cross(b - a, d - a) < 0.0) & (_cross(d - c, a - c) * _cross(d - c, b - c) < 0.0)
+            least = np.where(across, 0.0, least)
+    return least
+
+
+def _cross(first: Array, second: Array) -> Array:
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])

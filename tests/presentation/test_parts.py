@@ -1,0 +1,497 @@
+"""Parts read back from their files by readers of the tests: DXF by ezdxf, SVG, STL and 3MF by the standard library."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import zipfile
+from collections import Counter
+from pathlib import Path
+from xml.etree import ElementTree
+
+import ezdxf
+import numpy as np
+import pytest
+from matplotlib.path import Path as Polygon
+
+import optlink
+from optlink.errors import InputError
+from optlink.presentation.export.export import FORMATS, Options, export
+from optlink.presentation.export.printing import on_plate
+from optlink.presentation.parts import solids
+from optlink.presentation.parts.layers import Stack, stacked
+from optlink.presentation.parts.layout import engraved, laid_out
+from optlink.presentation.parts.model import part_set
+from optlink.presentation.parts.solids import Solid, plate
+from optlink.presentation.report_model import ReportModel, report_model_of
+from tests.cli.test_cli import run
+from tests.presentation.test_export import machine_as_stated
+from tests.tiers import mostly_slow
+
+SVG = "{http://www.w3.org/2000/svg}"
+CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+REFUSED = {"path-scott-russell": "overlap", "scotch-yoke": "overlap"}
+STACKED = ("crank-rocker", "shaper", "slider-crank", "watt-i", "toggle-press", "slotted-quick-return", "two-wipers", "six-bar")
+UNSTACKED = ("function-sin", "whitworth")
+SHIPPED = [name for name in sorted(optlink.shipped()) if name not in REFUSED]
+
+
+def of(name: str, changes: dict[str, object] | None = None) -> ReportModel:
+    """The machine of a shipped problem as its file states it."""
+    if changes is None:
+        return machine_as_stated(name)
+    return report_model_of(optlink.analyze(optlink.load(name, changes)))
+
+
+def written(about: ReportModel, path: Path, **options) -> Path:
+    export(about, path, Options(**options))
+    return path
+
+
+def distances(points: np.ndarray) -> list[float]:
+    return sorted(float(np.linalg.norm(p - q)) for p, q in itertools.combinations(points, 2))
+
+
+def holes_of(about: ReportModel) -> dict[str, list[float]]:
+    """Distances of the pins of every body [mm] at some crank angle, from the motion alone; bodies with slots are left out."""
+    mechanism, cycle = about.cycle.machine.mechanism, about.cycle
+    motion = optlink.linkage.sweep(mechanism, cycle.machine.sizes, [float(cycle.positions[len(cycle.positions) // 3])])
+    slid = {body for guide in mechanism.guides for body in guide.bodies}
+    found = {}
+    for body in {"frame", *mechanism.bodies} - slid:
+        points = [1e3 * motion.position(pin)[0] for pin, owners in mechanism.pins.items() if body in owners]
+        found[body] = distances(np.array(points))
+    return found
+
+
+# --- readers ---------------------------------------------------------------------------------------------------------------
+
+
+def read_stl(path: Path) -> np.ndarray:
+    """Corners (triangles, 3, 3)."""
+    data = path.read_bytes()
+    count = int.from_bytes(data[80:84], "little")
+    assert len(data) == 84 + 50 * count
+    rows = np.frombuffer(data[84:], np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")]))
+    return rows["corners"]
+
+
+def read_3mf(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Places and triangles of every object by its name."""
+    with zipfile.ZipFile(path) as archive:
+        assert archive.testzip() is None
+        assert {"[Content_Types].xml", "_rels/.rels"} < {*archive.namelist()}
+        start = ElementTree.fromstring(archive.read("_rels/.rels"))[0].attrib["Target"]
+        model = ElementTree.fromstring(archive.read(start.lstrip("/")))
+    assert model.attrib["unit"] == "millimeter"
+    found = {}
+    for one in model.iter(f"{CORE}object"):
+        places = [[float(at.attrib[axis]) for axis in "xyz"] for at in one.iter(f"{CORE}vertex")]
+        faces = [[int(at.attrib[key]) for key in ("v1", "v2", "v3")] for at in one.iter(f"{CORE}triangle")]
+        found[one.attrib["name"]] = np.array(places), np.array(faces)
+    assert [item.attrib["objectid"] for item in model.iter(f"{CORE}item")] == [str(k + 1) for k in range(len(found))]
+    return found
+
+
+def volume(corners: np.ndarray) -> float:
+    corners = corners.astype(float)
+    return float(np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) / 6.0)
+
+
+def open_edges(faces: np.ndarray) -> int:
+    """Number of directed edges whose opposite does not occur exactly once, or that occur twice."""
+    edges = Counter((face[k], face[(k + 1) % 3]) for face in faces.tolist() for k in range(3))
+    return sum(count != 1 or edges[end, begin] != 1 for (begin, end), count in [*edges.items()])
+
+
+def numbered(corners: np.ndarray) -> np.ndarray:
+    """Triangles by numbers of their corners, equal ones of which have one number."""
+    _, numbers = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    return numbers.reshape(-1, 3)
+
+
+def circles(places: np.ndarray, faces: np.ndarray, radius: float) -> list[np.ndarray]:
+    """Centres of the round holes: rings of walls whose corners are equally far from their mean."""
+    neighbours: dict[int, set[int]] = {}
+    low = places[:, 2] == places[:, 2].min()
+    for face in faces:
+        a = [k for k in face if low[k]]
+        if len(a) == 2:  # a wall
+            neighbours.setdefault(a[0], set()).add(a[1])
+            neighbours.setdefault(a[1], set()).add(a[0])
+    centres, left = [], set(neighbours)
+    while left:
+        ring, todo = set(), [left.pop()]
+        while todo:
+            k = todo.pop()
+            ring.add(k)
+            todo += neighbours[k] - ring
+        left -= ring
+        points = places[[*ring], :2]
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        away = np.linalg.norm(points - middle, axis=1)
+        if np.ptp(away) < 0.2 * radius:
+            assert np.median(away) >= radius  # the corners lie round the hole
+            chords = np.array([0.5 * (places[k, :2] + places[other, :2]) for k in ring for other in neighbours[k]])
+            assert np.linalg.norm(chords - middle, axis=1).min() >= radius * (1.0 - 1e-9)
+            centres.append(middle)
+    return centres
+
+
+# --- solids ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", mostly_slow(SHIPPED, "crank-rocker", "press-toggle", "slotted-quick-return"))
+def test_parts_are_closed_solids_of_their_volume(name, tmp_path):
+    """Every edge twice; the volume is the area of outline less holes, arcs included, times the thickness."""
+    about = of(name)
+    read = read_3mf(written(about, tmp_path / "a.3mf"))
+    whole = read_stl(written(about, tmp_path / "a.stl"))
+    parts = part_set(about.cycle).parts
+    assert read.keys() == parts.keys()
+    assert open_edges(numbered(whole)) == 0
+    total = 0.0
+    for body, (places, faces) in read.items():
+        assert open_edges(faces) == 0
+        exact = parts[body].thickness * (area(parts[body].outline) - sum(area(one.outline) for one in parts[body].openings))
+        assert volume(places[faces]) == pytest.approx(exact, rel=1e-4)
+        total += exact
+    assert volume(whole) == pytest.approx(total, rel=1e-4)
+
+
+def area(outline) -> float:
+    """Area within straight edges and arcs."""
+    total = 0.0
+    for (x, y, bulge), (u, v, _) in zip(outline, (*outline[1:], outline[0]), strict=True):
+        turned, chord = 4.0 * math.atan(bulge), math.hypot(u - x, v - y)
+        total += 0.5 * (x * v - u * y)
+        if bulge:
+            radius = 0.5 * chord / math.sin(0.5 * turned)
+            total += 0.5 * radius**2 * (turned - math.sin(turned))
+    return total
+
+
+@pytest.mark.parametrize("name", mostly_slow(SHIPPED, "crank-rocker", "watt-i", "six-bar"))
+def test_distances_of_holes_are_those_of_the_motion(name, tmp_path):
+    """In the 3MF and in the file for cutting, to 1e-6 mm; holes are not undersized by their chords."""
+    about = of(name)
+    read = read_3mf(written(about, tmp_path / "a.3mf"))
+    drawing = ezdxf.readfile(written(about, tmp_path / "a.dxf", content="parts"))
+    assert drawing.audit().errors == []
+    cut = np.array([one.dxf.center for one in drawing.modelspace().query("CIRCLE")])[:, :2]
+    outlines = list(drawing.modelspace().query("LWPOLYLINE"))
+    assert len(cut) + len(outlines) == sum(1 + len(one.openings) for one in part_set(about.cycle).parts.values())
+    compared = 0
+    for body, wanted in holes_of(about).items():
+        part = part_set(about.cycle).parts[body]
+        places, faces = read[body]
+        found = distances(np.array(circles(places, faces, 0.5 * part.openings[0].diameter)))
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
+        placed = next(one for one in laid_out(part_set(about.cycle).parts.values()).parts if one.part.name == body)
+        low, high = (corner + placed.shift for corner in part.corners)
+        np.testing.assert_allclose(distances(cut[np.all((cut > low) & (cut < high), axis=1)]), wanted, rtol=0, atol=1e-6)
+        compared += len(wanted)
+    assert compared
+
+
+def test_a_planted_defect_opens_a_solid():
+    """A triangle that is left out, and one that is turned over."""
+    part = next(iter(part_set(of("crank-rocker").cycle).parts.values()))
+    faces = plate(part).triangles
+    assert open_edges(faces) == 0
+    assert open_edges(faces[1:]) == 3
+    assert open_edges(np.concatenate([faces[:1, ::-1], faces[1:]])) > 0
+
+
+def test_corners_in_line_that_a_triangulation_leaves_out_are_found(monkeypatch):
+    """Such a triangulation is rejected, and another direction is tried."""
+    part = part_set(of("crank-rocker").cycle).parts["coupler"]
+    plain, tried = solids._triangles_turned, []
+
+    def short(loops, angle):
+        tried.append(angle)
+        return plain(loops, angle)[1:] if len(tried) == 1 else plain(loops, angle)
+
+    monkeypatch.setattr(solids, "_triangles_turned", short)
+    assert open_edges(plate(part).triangles) == 0
+    assert tried == [0.0, 0.5]
+
+
+# --- cutting ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", mostly_slow(SHIPPED, "shaper", "path-watt-leg"))
+def test_outlines_lie_apart_and_names_within_them(name):
+    """Rectangles round the parts do not touch; the rectangle of a name lies within its outline and outside its openings."""
+    parts = part_set(of(name).cycle).parts
+    sheet = laid_out(parts.values())
+    boxes = [[corner + one.shift for corner in one.part.corners] for one in sheet.parts]
+    for (low, high), (other_low, other_high) in itertools.combinations(boxes, 2):
+        assert np.any((low >= other_high) | (other_low >= high))
+    assert np.min([low for low, _ in boxes]) > 0.0
+    assert np.all(np.max([high for _, high in boxes], axis=0) < sheet.size)
+    assert {one.part.name for one in sheet.parts} == parts.keys()
+    for part in parts.values():
+        if label := engraved(part):
+            assert label.text == part.name
+            half = np.array([0.3 * len(label.text), 0.5]) * label.height
+            c, s = math.cos(label.angle), math.sin(label.angle)
+            corners = [label.at + np.array([[c, -s], [s, c]]) @ (half * sign) for sign in itertools.product((-1, 1), (-1, 1))]
+            assert Polygon(solids.polygon(part.outline)).contains_points(corners).all()
+            for opening in part.openings:
+                assert not Polygon(solids.polygon(opening.outline)).contains_points(corners).any()
+
+
+def test_an_svg_is_at_true_size(tmp_path):
+    """Width, height and view box agree in millimetres; a straight link has the arcs of its ends; red is cut, blue engraved."""
+    root = ElementTree.parse(written(of("crank-rocker"), tmp_path / "a.svg", content="parts")).getroot()
+    left, top, wide, high = map(float, root.attrib["viewBox"].split())
+    assert (root.attrib["width"], root.attrib["height"]) == (f"{wide:g}mm", f"{high:g}mm")
+    cut, engrave = root.findall(f"{SVG}g")
+    assert [(one.attrib["id"], one.attrib["stroke"]) for one in (cut, engrave)] == [("CUT", "#ff0000"), ("ENGRAVE", "#0000ff")]
+    assert [one.attrib["id"] for one in cut] == ["frame", "crank", "coupler", "rocker"]
+    for group, length in zip(cut, (500.0, 100.0, 400.0, 400.0), strict=True):
+        first, second = (float(one.attrib["cx"]) for one in group.iter(f"{SVG}circle"))
+        assert second - first == pytest.approx(length, abs=1e-9)
+        path = group.find(f"{SVG}path").attrib["d"]
+        assert re.findall(r"A([\d.]+) ([\d.]+) 0 (\d) (\d)", path) == [("25", "25", "0", "0")] * 2
+        xs = [float(x) for x in re.findall(r"(?:M|L | 0 0 )([\d.]+) -", path)]
+        assert min(xs) > left
+        assert max(xs) < left + wide
+    assert {one.text for one in engrave.iter(f"{SVG}text")} == {"frame", "crank", "coupler", "rocker"}
+    assert top == -high
+
+
+# --- the model -------------------------------------------------------------------------------------------------------------
+
+
+def test_sizes_of_the_file_are_those_of_the_parts():
+    changes = {
+        "parts": {
+            "width": "30 mm",
+            "thickness": "4 mm",
+            "hole": "8 mm",
+            "pin": "7.8 mm",
+            "links": {"rocker": {"width": "36 mm", "thickness": "5 mm"}},
+            "joints": {"C": {"hole": "10 mm", "pin": "9.8 mm"}},
+        }
+    }
+    made = part_set(of("crank-rocker", changes).cycle)
+    assert [*made.parts] == ["frame", "crank", "coupler", "rocker"]
+    assert [part.width for part in made.parts.values()] == pytest.approx([30, 30, 30, 36])
+    assert [part.thickness for part in made.parts.values()] == pytest.approx([4, 4, 4, 5])
+    holes = {(name, one.joint): one.diameter for name, part in made.parts.items() for one in part.openings}
+    assert holes["coupler", "B"] == pytest.approx(8.0)
+    assert holes["coupler", "C"] == holes["rocker", "C"] == pytest.approx(10.0)
+    assert {pin.name: pin.diameter for pin in made.pins} == pytest.approx({"A": 7.8, "D": 7.8, "B": 7.8, "C": 9.8})
+    wide = part_set(of("crank-rocker", changes).cycle, hole=9e-3, width=20e-3)
+    assert wide.parts["crank"].width == pytest.approx(20.0)
+    assert wide.parts["crank"].openings[0].diameter == pytest.approx(9.0)
+
+
+def test_a_block_becomes_a_pin_in_a_slot_of_its_travel():
+    """The slot of a slider-crank is as long as the stroke, twice the crank of 100 mm; the block is no part."""
+    made = part_set(of("slider-crank").cycle)
+    assert "slider" not in made.parts
+    slot = next(one for one in made.parts["frame"].openings if np.ptp(one.ends, axis=0).max() > 0.0)
+    assert float(np.linalg.norm(slot.ends[1] - slot.ends[0])) == pytest.approx(200.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", mostly_slow(SHIPPED, "shaper", "whitworth", "slotted-quick-return", "oscillating-cylinder"))
+def test_pins_stay_in_their_openings_over_the_motion(name):
+    """Every pin lies between the ends of the hole or slot of each of its parts, at all positions."""
+    made = part_set(of(name).cycle)
+    motion = made.motion
+    for pin in made.pins:
+        at = absolute(motion, pin.on, pin.at)
+        for body in pin.parts:
+            fits = []
+            for one in made.parts[body].openings:
+                begin, end = (absolute(motion, body, place) for place in one.ends)
+                along, away = end - begin, at - begin
+                share = np.clip(np.sum(along * away, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-30), 0.0, 1.0)
+                fits.append(np.nanmax(np.linalg.norm(away - share[:, None] * along, axis=1)))
+            assert min(fits) < 1e-6, (pin.name, body)
+
+
+def absolute(motion, body: str, at: np.ndarray) -> np.ndarray:
+    """Places (positions, 2) [mm] of a point of a body over the motion."""
+    if body == "frame":
+        return np.tile(at, (len(motion.crank_angle), 1))
+    turned = np.exp(1j * np.broadcast_to(np.asarray(motion.body_angle(body).value), len(motion.crank_angle)))
+    moved = turned * complex(*at)
+    return 1e3 * motion.position(motion.mechanism.origin(body)) + np.column_stack([moved.real, moved.imag])
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"parts.width": "5 mm"}, 'parts.width = "5 mm": frame is not wider than its hole at A, which measures 20 mm'),
+        ({"parts": {"links": {"crank": {"width": "8 mm"}}}}, 'parts.links.crank.width = "8 mm": crank is not wider'),
+        ({"parts.pin": "25 mm"}, 'parts.pin = "25 mm": the pin of A is thicker than its holes, which measure 20 mm'),
+        (
+            {"parts": {"hole": "120 mm", "width": "0.5 m"}},
+            "the openings A and B of crank overlap: their centres are 100 mm apart",
+        ),
+        ({"parts": {"links": {"cranc": {}}}}, 'parts.links.cranc = "cranc": no such link. Did you mean "crank"?'),
+        ({"parts": {"joints": {"Z": {}}}}, 'parts.joints.Z = "Z": no such pin joint. Known: A, D, B, C'),
+        ({"parts.widht": "5 mm"}, 'parts.widht: unknown key. Did you mean "width"?'),
+        ({"parts.width": "5"}, 'parts.width = "5": a length needs a unit'),
+    ],
+)
+def test_what_cannot_be_made_is_refused_in_a_sentence(changes, says):
+    with pytest.raises(InputError, match=re.escape(says)):
+        part_set(of("crank-rocker", changes).cycle)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_slots_across_pivots_are_refused(name):
+    with pytest.raises(InputError, match=REFUSED[name]):
+        part_set(of(name).cycle)
+
+
+@pytest.mark.parametrize(("name", "says"), [("lift", "lift is a cylinder"), ("cam-follower", "cam has the profile")])
+def test_cylinders_and_cams_are_refused_by_name(name, says):
+    problem = optlink.read(optlink.new(name))
+    about = report_model_of(optlink.analyze(problem))
+    with pytest.raises(InputError, match=says):
+        part_set(about.cycle)
+
+
+def test_the_section_changes_no_result():
+    assert optlink.load("crank-rocker", {"parts.width": "30 mm"}).hash == optlink.load("crank-rocker").hash
+
+
+# --- layers ----------------------------------------------------------------------------------------------------------------
+
+
+def overlap(first: np.ndarray, second: np.ndarray) -> bool:
+    """Whether two polygons share a point, by matplotlib."""
+    one, other = Polygon(first), Polygon(second)
+    return one.intersects_path(other) or one.contains_point(second[0]) or other.contains_point(first[0])
+
+
+def disc(radius: float) -> np.ndarray:
+    turns = np.linspace(0.0, 2.0 * math.pi, 49)
+    return radius * np.column_stack([np.cos(turns), np.sin(turns)])
+
+
+def collisions(stack, layers: dict[str, int], every: int = 24) -> set[tuple[str, str]]:
+    """Pairs of parts, pins and heads that overlap in a layer at some crank angle, polygon by polygon."""
+    parts, motion = stack.parts, stack.parts.motion
+    shapes: dict[tuple[str, int], tuple[str, np.ndarray]] = {}
+    for name, part in parts.parts.items():
+        shapes[name, layers[name]] = name, solids.polygon(part.outline)[::6]
+    members = {pin.name: pin.parts for pin in parts.pins}
+    for pin in parts.pins:
+        levels = [layers[name] for name in pin.parts]
+        for layer in range(min(levels) - 1, max(levels) + 2):
+            inside = min(levels) <= layer <= max(levels)
+            if inside or pin.height:
+                shapes[f"pin {pin.name}", layer] = pin.on, pin.at + disc(0.5 * (pin.diameter if inside else pin.head))
+    found = set()
+    for k in range(0, len(motion.crank_angle), every):
+        moved = {key: placed_at(motion, body, shape, k) for key, (body, shape) in shapes.items()}
+        for (one, layer), (other, level) in itertools.combinations(moved, 2):
+            joined = one in members.get(other.removeprefix("pin "), ()) or one == other
+            if layer == level and not joined and overlap(moved[one, layer], moved[other, level]):
+                found.add((one, other))
+    return found
+
+
+def placed_at(motion, body: str, shape: np.ndarray, k: int) -> np.ndarray:
+    if body == "frame":
+        return shape
+    turned = np.exp(1j * float(np.broadcast_to(np.asarray(motion.body_angle(body).value), len(motion.crank_angle))[k]))
+    moved = turned * (shape @ [1.0, 1j])
+    return 1e3 * motion.position(motion.mechanism.origin(body))[k] + np.column_stack([moved.real, moved.imag])
+
+
+@pytest.mark.parametrize("name", mostly_slow(STACKED, "crank-rocker", "slotted-quick-return"))
+def test_nothing_collides_in_the_layers(name):
+    stack = stacked(part_set(of(name).cycle))
+    assert stack.layers["frame"] == 0
+    assert min(layer for body, layer in stack.layers.items() if body != "frame") > 0
+    assert collisions(stack, dict(stack.layers)) == set()
+
+
+def test_a_link_in_the_layer_of_another_collides():
+    """The oracle of these tests sees the defect, and so does the search."""
+    stack = stacked(part_set(of("crank-rocker").cycle))
+    flat = {**stack.layers, "coupler": stack.layers["crank"]}
+    assert ("crank", "coupler") in collisions(stack, flat)
+    assert any({one.one, one.other} == {"crank", "coupler"} for one in Stack(stack.parts).collisions(flat))
+
+
+@pytest.mark.parametrize("name", UNSTACKED)
+def test_without_layers_a_collision_is_named(name):
+    """Two full turns about one plate: every order of the links collides, polygon by polygon too."""
+    parts = part_set(of(name).cycle)
+    with pytest.raises(InputError, match=r"cannot be stacked: .* collide at a crank angle of [\d.]+ deg"):
+        stacked(parts)
+
+
+def test_an_assembly_lies_in_its_layers(tmp_path):
+    """Heights of the links are multiples of thickness and washer; pins pass through what they join, heads beyond."""
+    about = of("crank-rocker")
+    stack = stacked(part_set(about.cycle))
+    read = read_3mf(written(about, tmp_path / "a.3mf", content="assembly", at=1.0))
+    assert read.keys() == {*stack.parts.parts, *(f"pin {pin.name}" for pin in stack.parts.pins)}
+    pitch = max(part.thickness for part in stack.parts.parts.values()) + stack.parts.spacer
+    for name, layer in stack.layers.items():
+        heights = read[name][0][:, 2]
+        assert (heights.min(), heights.max()) == pytest.approx((layer * pitch, layer * pitch + stack.parts.parts[name].thickness))
+    mechanism, sizes = about.cycle.machine.mechanism, about.cycle.machine.sizes
+    motion = optlink.linkage.sweep(mechanism, sizes, [1.0])
+    for pin in stack.parts.pins:
+        places, faces = read[f"pin {pin.name}"]
+        assert open_edges(faces) == 0
+        assert volume(places[faces]) > 0.0
+        np.testing.assert_allclose(places[:, :2].mean(axis=0), 1e3 * motion.position(pin.name)[0], atol=1e-6)
+        ends = [read[name][0][:, 2] for name in pin.parts]
+        assert places[:, 2].min() == pytest.approx(min(one.min() for one in ends) - 0.6 * pin.diameter)
+        assert places[:, 2].max() == pytest.approx(max(one.max() for one in ends) + 0.6 * pin.diameter)
+        assert np.linalg.norm(places[:, :2] - 1e3 * motion.position(pin.name)[0], axis=1).max() == pytest.approx(
+            0.8 * pin.diameter
+        )
+
+
+# --- the command -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_same_design_gives_the_same_file(tmp_path):
+    about = of("crank-rocker")
+    for ending in (".3mf", ".stl", ".svg"):
+        once, again = (written(about, tmp_path / f"{name}{ending}", content="parts").read_bytes() for name in "ab")
+        assert once == again
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "says"),
+    [
+        ("a.csv", "parts", "a .csv file cannot have this content. Write a .dxf or .svg or .stl or .3mf file"),
+        ("a.stl", "pieces", "a .stl file cannot have this content. Known: parts, assembly"),
+    ],
+)
+def test_an_unknown_content_is_refused(file, content, says, tmp_path):
+    result = run("export", "crank-rocker", "-o", str(tmp_path / file), "--content", content)
+    assert result.exit_code == 2
+    assert says in " ".join(result.stderr.split())
+    assert not [*tmp_path.iterdir()]
+
+
+def test_every_content_has_a_writer(tmp_path):
+    """All entries of the registry write a file of a machine that has parts and layers."""
+    about = of("crank-rocker")
+    for ending, contents in FORMATS.items():
+        for content in contents:
+            assert written(about, tmp_path / f"{content}{ending}", content=content).stat().st_size > 500
+
+
+def test_solids_on_a_plate_lie_apart():
+    """Flat on z = 0, in the order of the sheet."""
+    on = [*on_plate(part_set(of("crank-rocker").cycle))]
+    assert all(isinstance(one, Solid) and one.places[:, 2].min() == 0.0 for one in on)
+    boxes = [(one.places.min(axis=0)[:2], one.places.max(axis=0)[:2]) for one in on]
+    assert all(np.any((a >= d) | (c >= b)) for (a, b), (c, d) in itertools.combinations(boxes, 2))
