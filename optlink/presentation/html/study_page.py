@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
+from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import Array
 from optlink.presentation.chart_spec import ChartSpec
 from optlink.presentation.export.dimensions import Drawing, dimensioned
@@ -15,7 +17,7 @@ from optlink.presentation.html import chart_plotly, moving_linkage
 from optlink.presentation.html.chart_plotly import Chart
 from optlink.presentation.html.moving_linkage import Moving
 from optlink.presentation.html.shell import MAX_BYTES, STEPS, WIDE, PageContent, arrange, plotly_version, table_width
-from optlink.presentation.scene import scene_at
+from optlink.presentation.scene import MM, Scene, scene_at
 from optlink.presentation.shapes import even
 from optlink.presentation.table_spec import Paragraph, Span, TableSpec
 from optlink.presentation.view import PageSection, StoredStudy
@@ -140,14 +142,25 @@ def cycle_of(file: ProblemFile, design: Mapping[str, float]) -> Analysis | None:
 
 
 def in_time(
-    file: ProblemFile, design: Mapping[str, float], time: Array, crank: Array, shown: Sequence[tuple[str, Scale, Array]]
+    file: ProblemFile,
+    design: Mapping[str, float],
+    time: Array,
+    crank: Array,
+    shown: Sequence[tuple[str, Scale, Array]],
+    freed: Machine | None = None,
 ) -> Moving | None:
     """Return the linkage of a design [m, rad] at crank angles [deg] over time [s]; None if it cannot be assembled.
 
-    `shown` are quantities that follow the slider: name, display unit, values [SI].
+    `shown` are quantities that follow the slider: name, display unit, values [SI]. `freed` is the machine with the coordinates of
+    free drives at these times, whose path alone is drawn.
     """
-    cycle = cycle_of(file, design)
-    return None if cycle is None else moving_linkage.in_time(cycle, scene_at(cycle, np.radians(crank)), time, shown)
+    cycle, at = cycle_of(file, design), np.radians(crank)
+    if cycle is None:
+        return None
+    if freed is None:
+        return moving_linkage.in_time(cycle, scene_at(cycle, at), time, shown)
+    motion = sweep(freed.mechanism, freed.sizes, at, cycle.speed)
+    return moving_linkage.in_time(cycle, Scene(motion, cycle.machine, unit=MM), time, shown)
 
 
 def closing_sections(file: ProblemFile, by: str) -> Iterable[PageSection]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from optlink.dynamics.columns import efforts
 from optlink.dynamics.forward import Ending
+from optlink.dynamics.freedoms import freed
 from optlink.dynamics.machine import slider_names
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import TURN
@@ -34,7 +35,7 @@ from optlink.presentation.view import PageSection, StoredStudy, View
 from optlink.presentation.views import analysis_tables
 from optlink.presentation.views.analysis_charts import MAX_BODIES, ROUNDING, look, together
 from optlink.tasks.analyze import reaction_conventions
-from optlink.tasks.simulate import Simulation
+from optlink.tasks.simulate import Simulation, freedoms_of
 from optlink.units import percent
 
 if TYPE_CHECKING:
@@ -208,9 +209,9 @@ def page(run: Simulation) -> StoredStudy:
         conclusion=conclusion(run),
         status=[f"{run.ending.value}, driven by {run.driven}{analysis_tables.unnoted(run)}", *run.notes],
         sections=[PageSection("Figures", (analysis_tables.simulation(run).parts,)), PageSection("Over time", curves)],
-        moving=partial(_moving, run) if curves and not run.free else None,
+        moving=partial(_moving, run) if curves else None,
         by=f"integration in time; driven by {run.driven}",
-        drawn="As the crank turned in time: the slider goes from row to row of the simulation.",
+        drawn="As the machine moved in time: the slider goes from row to row of the simulation.",
     )
 
 
@@ -225,7 +226,26 @@ def _moving(run: Simulation, steps: int) -> Moving | None:
     for name, words, unit in ((speed, what, "m/s" if speed.endswith("m_s") else "rad/s"), *every):
         if name in run.columns:
             shown.append((words, scale(largest(run.columns, [name]), unit), run[name][rows]))
-    return in_time(run.problem, run.sizes, run["time_s"][rows], crank, shown)
+    machine, free = run.machine, _free_coordinates(run)
+    if free:
+        machine = freed(machine, freedoms_of(run.problem, machine))
+        machine = machine.with_(sizes={**machine.sizes, **{name: values[rows] for name, values in free.items()}})
+    return in_time(run.problem, run.sizes, run["time_s"][rows], crank, shown, machine if free else None)
+
+
+def _free_coordinates(run: Simulation) -> dict[str, Array]:
+    """Return the coordinates [rad, m] of drives that moved freely, by their names among the sizes of the freed machine."""
+    found = {}
+    for freedom in freedoms_of(run.problem, run.machine) if run.free else ():
+        drive = freedom.drive
+        if drive.kind == "angle":
+            along = run[f"{drive.body}.angle_rad"]
+            found[freedom.size] = along if drive.against == FRAME else along - run[f"{drive.against}.angle_rad"]
+        else:
+            guides = [guide.name for guide in run.machine.mechanism.guides if guide.slider == drive.body]
+            name = f"{drive.body}.length_m" if drive.size else f"{slider_names(run.machine)[guides[0]]}.s_m"
+            found[freedom.size] = run[name]
+    return found
 
 
 def conclusion(result: Simulation) -> str:
