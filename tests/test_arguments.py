@@ -66,6 +66,7 @@ ACCEPTED = {
         "output": "rocker",
     },
     optlink.synthesis.starts: {"problem": optlink.load("path-arc5")},
+    optlink.synthesis.exact: {"problem": optlink.load("motion-5-poses")},
     optlink.motion: {"problem": MACHINE, "crank_angle": [0.1, 0.2]},
     optlink.report: {"source": MACHINE, "file": "page.html"},
     optlink.export: {"source": MACHINE, "file": "drawing.svg"},

@@ -304,7 +304,13 @@ def reachable(crank: float, coupler: float, rocker: float, frame: float) -> list
 
 
 def cosine_ranges(lowest: float, highest: float) -> list[tuple[float, float]]:
-    """Return the ranges of angle [rad] whose cosines lie between two values; see `reachable`."""
+    """Return the ranges of angle [rad] whose cosines lie between two values; see `reachable`.
+
+    Parameters
+    ----------
+    lowest, highest : float [-]
+        They may lie beyond -1 ... 1.
+    """
     if lowest >= 1.0 or highest <= -1.0:  # at equality a single position, which is no range
         return []
     near = float(np.arccos(highest)) if highest < 1.0 else 0.0

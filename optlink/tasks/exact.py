@@ -18,7 +18,7 @@ from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.requirements.base import MARK, START
 from optlink.synthesis.five_poses import POSES, FivePoses, FourBarSolution, couplers, dyads, timed_paths
 from optlink.tasks.results.design import NO_SEARCH, LinkageDesign, SynthesisResult, of_designs
-from optlink.tasks.results.exact import ExactSolution, ExactSolutions, ranked
+from optlink.tasks.results.exact import ExactSolution, ExactSolutions
 from optlink.tasks.search import mode_of
 from optlink.validation import validate
 
@@ -74,7 +74,7 @@ class FiveTargets:
             sum(dyad.kind != "RR" for dyad in real) + law * bool(real),
             self.roots.special,
             self.task.requirement.kind == "motion",
-            ranked(one.solution for one in self.found),
+            tuple(one.solution for one in self.found),
         )
 
     @property

@@ -43,7 +43,7 @@ from optlink.tasks.results.common import (
     verified,
 )
 from optlink.tasks.results.conflict import refutation
-from optlink.tasks.results.exact import ExactSolutions
+from optlink.tasks.results.exact import ExactSolutions, document
 from optlink.tasks.results.fit import FINE, Fit, fit, transmission_fit
 from optlink.tasks.results.rounding import Rounding
 from optlink.tasks.results.strokes import stroke_document
@@ -569,7 +569,7 @@ class SynthesisResult(Document):
         **FOUND,
         "optima?": lambda result: [result.shown_optimum(optimum) for optimum in result.optima] or None,
         "exact_solutions?": lambda result: (
-            result.exact_solutions and result.exact_solutions.document(result.definite.model.displayed)
+            result.exact_solutions and document(result.exact_solutions, result.definite.model.displayed)
         ),
         "nearest_miss": lambda result: None if result.designs else result.nearest,
     }

@@ -1,7 +1,7 @@
 """All linkages that meet five targets exactly, as data: each is usable, or has a reason for which it is not."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ DEFECTS = {
 @dataclass(frozen=True)
 class ExactSolution:
     """A linkage that meets all targets: dimensions [SI], assembly mode, and the least distance [rad] of its transmission angle
-    from 0 and 180 deg at the targets.
+    from 0 and 180 deg, over the required motion if it is usable, else at the targets.
 
     `certified`: its dyads are proven to be real; `reasons`: what excludes it: its `DEFECTS`, else checks that it fails.
     """
@@ -78,25 +78,13 @@ class ExactSolutions:
             found = f"{count // 2} four-bar{'s' * (count > 2)}, {count} with either link as the crank, {self.usable} usable"
         return f"{self.task}: {roots}{missing}{sliders}; {found}"
 
-    def document(self, displayed: Any) -> dict[str, Any]:
-        """Return the solutions as part of a JSON document, their dimensions `displayed` in units."""
-        return {
-            **{name: getattr(self, name) for name in ("task", "real", "certified", "complex", "sliders", "complete", "special")},
-            "usable": self.usable,
-            "solutions": [
-                {
-                    "usable": one.usable,
-                    "reasons": one.reasons,
-                    "certified": one.certified,
-                    "assembly": one.assembly,
-                    "transmission_deg": math.degrees(one.transmission),
-                    "design": displayed(one.values),
-                }
-                for one in self.solutions
-            ],
-        }
 
-
-def ranked(solutions: Iterator[ExactSolution]) -> tuple[ExactSolution, ...]:
-    """Return solutions, usable ones first, then those with fewer reasons; of the same number that with the best transmission."""
-    return tuple(sorted(solutions, key=lambda one: (len(one.reasons), -one.transmission)))
+def document(found: ExactSolutions, displayed: Callable[[Mapping[str, float]], Mapping[str, float]]) -> dict[str, Any]:
+    """Return the solutions as part of a JSON document, their dimensions `displayed` in units."""
+    shown = ("task", "real", "certified", "complex", "sliders", "complete", "special", "usable")
+    solutions = [
+        {name: getattr(one, name) for name in ("usable", "reasons", "certified", "assembly")}
+        | {"transmission_deg": math.degrees(one.transmission), "design": displayed(one.values)}
+        for one in found.solutions
+    ]
+    return {name: getattr(found, name) for name in shown} | {"solutions": solutions}
