@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +16,7 @@ from optlink.errors import InputError
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
+    from optlink.problem.templates import Template
 
 Shown = Annotated[str, typer.Argument(metavar="PROBLEM", help=PROBLEM_HELP, autocompletion=problem_names, show_default=False)]
 
@@ -103,6 +105,7 @@ Name = Annotated[str, typer.Argument(metavar="TEMPLATE", autocompletion=template
 def new(
     name: Name = "",
     listed: Annotated[bool, flag("List the templates.", "--list")] = False,
+    link: Annotated[str | None, option("LINK", "Instead of a template: a share link of PMKS+.", "--from")] = None,
     out: Annotated[Path | None, option("FILE", "File to write. Default: standard output.", "-o", "--out")] = None,
     force: Annotated[bool, flag("Overwrite an existing file.", "--force")] = False,
     as_json: Json = False,
@@ -111,7 +114,11 @@ def new(
     """Write a new problem file from a template that is complete and commented: change its values and solve it."""
     from optlink.problem.templates import template, templates
 
-    if listed or not name:
+    if link is not None:
+        console.refuse(
+            {"TEMPLATE": name or None, "--list": listed or None}, "the file comes from a link", "Leave it out", "--from"
+        )
+    elif listed or not name:
         console.refuse({"--out": out, "--force": force}, "--list writes no file", "Name a template: new law")
         choices = [template(item) for item in templates()]
         if as_json:
@@ -129,7 +136,7 @@ def new(
         return
     if out is not None:
         _check(out, force)
-    text = template(name, out)
+    text = template(name, out) if link is None else _from_link(link, out)
     if out is not None:
         from optlink.io import whole
 
@@ -140,10 +147,19 @@ def new(
         console.print_json(document | {"file": None if out is None else str(out), "text": text.text})
     elif out is None:
         print(text.text, end="")
-        if not console.quiet:
+        if not console.quiet and link is None:
             print(f"Next: optlink new {name} --out {name}.toml", file=sys.stderr)
     else:
         print(f"Written: {out}" if console.quiet else f"Written: {out}. Next: {text.commands[0]}")
+
+
+def _from_link(link: str, out: Path | None) -> Template:
+    """Return the problem file of a share link."""
+    from optlink.problem.foreign import problem_text
+    from optlink.problem.templates import Template
+
+    commands = (f"optlink analyze {shlex.quote(str(out or 'mine.toml'))}",)
+    return Template("PMKS+ link", "Linkage from PMKS+", commands, problem_text(link))
 
 
 def _check(out: Path, force: bool) -> None:
