@@ -28,7 +28,7 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS
 from optlink.solvers.exchange import solve_semi_infinite
 from optlink.solvers.quadratic_model import QuadraticModel
-from optlink.solvers.solution import SAME_OBJECTIVE, Solution
+from optlink.solvers.solution import FEASIBLE, SAME_OBJECTIVE, Solution
 from optlink.tasks.protocol import Progress, Timer, part
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.tasks.results.rounding import Influence, Rounding
@@ -390,10 +390,12 @@ class _Search:
                     continue
                 two, size = math.isfinite(row.low) and math.isfinite(row.high), abs(row.scale.slope(float(value)))
                 away = 0.5 * (row.high - row.low) if two else min(value - row.low, row.high - value)
-                change, room = float(abs(slope) * half * size), max(0.0, float(away * size))
+                change, room = float(abs(slope) * half * size), float(away * size) if away > FEASIBLE else 0.0
                 key = name, row.label or row.limit
                 made = Influence(*key, change, room, row.scale.unit, one_sided=not two)
-                if (two or change > LEAST_SHARE * room) and (key not in found or made.share > found[key].share):
+                if (two or change > max(LEAST_SHARE * room, FEASIBLE * size)) and (
+                    key not in found or (made.share, change) > (found[key].share, found[key].change)
+                ):
                     found[key] = made
         return list(found.values())
 
