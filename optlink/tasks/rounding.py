@@ -27,7 +27,8 @@ from optlink.problem.quantity import Unusable, input_of, read_scalar
 from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS
 from optlink.solvers.exchange import solve_semi_infinite
-from optlink.solvers.solution import SAME_OBJECTIVE, Solution
+from optlink.solvers.quadratic_model import QuadraticModel
+from optlink.solvers.solution import FEASIBLE, SAME_OBJECTIVE, Solution
 from optlink.tasks.protocol import Progress, Timer, part
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.tasks.results.rounding import Influence, Rounding
@@ -37,10 +38,17 @@ from optlink.validation import validate
 
 ON_GRID = 1e-7  # share of a step: a size this close to a grid value has it
 FEW = 4  # sizes up to which the whole grid is searched
-WHOLE, PER_SIZE = 1000, 30  # programmes solved at most on the whole grid; per size where it is too large for that
+WHOLE, PER_SIZE = (
+    1000,
+    30,
+)  # programmes solved at most on the whole grid; designs per size near the optimum where it is too large for that
+STEPS, FARTHEST = 20.0, 0.1  # reach of the quadratic model: steps of the grid, and of other unknowns (scaled)
+NODES = 30_000  # minima of a quadratic model at most
+CLOSE = 1e-6  # share of a step: a size of the model this close to a grid value has it
 FINER = 2.0, 5.0, 10.0, 20.0, 50.0, 100.0  # divisors of the steps with which a design is looked for where none has the steps
 TRIED = 20  # programmes for each of them
-CORNERS = 6  # sizes up to which all designs beside the optimum are tried first
+CORNERS = 4  # sizes up to which all designs beside the optimum are tried first
+LEAST_SHARE = 0.01  # of what a one-sided limit leaves: less influence of half a step is not listed
 
 
 @dataclass(frozen=True)
@@ -141,6 +149,7 @@ class _Search:
         self.solved = 0
         self.best: LinkageDesign | None = None
         self.tried: dict[tuple[float, ...], LinkageDesign] = {}
+        self.evaluated: set[tuple[float, ...]] = set()
         self.complete = True
 
     def sizes(self, solution: Solution) -> list[float]:
@@ -167,9 +176,11 @@ class _Search:
         key, fixed = tuple(sizes), np.asarray(sizes, dtype=float)
         if key in self.tried:
             return
-        end = self.within(fixed, fixed, start)
-        if self.tried and len(sizes) > FEW and not end.usable:
-            return
+        end = start
+        if not self.given:
+            end = self.within(fixed, fixed, start)
+            if self.tried and len(sizes) > FEW and not end.usable:
+                return
         values, angles = solved_values(self.task, end.design, end.x)
         values = self.task.complete({**values, **dict(zip(self.grids, map(float, sizes), strict=True))})
         checked = validate(self.task, values, angles)
@@ -187,37 +198,43 @@ class _Search:
             yield from (list(corner) for corner in itertools.product(*sides))
 
     def run(self, progress: Progress = None, tries: int = 0) -> None:
-        """Search the grid: best bound first on the whole of it, else depth first by the influence of the sizes.
+        """Search the whole grid of few sizes, and near the optimum that of many, or where the search of the whole found none.
 
-        `tries`: number of programmes after which a search for any valid design ends; else it looks for the best one. Where a
+        `tries`: number of designs after which a search for any valid design ends; else it looks for the best one. Where a
         limit has no tolerance, and all free sizes are rounded, only the designs beside the optimum are tried.
         """
-        whole, most = len(self.at) <= FEW, tries or (WHOLE if len(self.at) <= FEW else PER_SIZE * len(self.at))
         for corner in itertools.islice(self.corners(), 1 if tries else None):
             if all(map(self._allowed, range(len(corner)), corner)):
                 self.build(corner, self.top)
         if self.exact and self.best is None:
             return
+        if len(self.at) <= FEW:
+            self._whole(progress, tries)
+        if len(self.at) > FEW or self.best is None:
+            self.complete = False
+            self._near(progress, tries or PER_SIZE * len(self.at), any_valid=bool(tries))
+
+    def _whole(self, progress: Progress, tries: int) -> None:
+        """Search the whole grid, best bound first; every node is a programme."""
+        most = tries or WHOLE
         low = np.array([v.value(float(self.nlp.x_low[k])) for v, k in zip(self.variables, self.at, strict=True)])
         high = np.array([v.value(float(self.nlp.x_high[k])) for v, k in zip(self.variables, self.at, strict=True)])
-        order, count = self.influences(), itertools.count()
+        count = itertools.count()
         open_nodes = [_Node((self.top.objective, 0), low, high, self.top)]
         while open_nodes:
             if self.solved >= most or (tries and self.best is not None):
                 self.complete = False
                 return
-            node = heapq.heappop(open_nodes) if whole else open_nodes.pop()
+            node = heapq.heappop(open_nodes)
             if self._worse(node.solution.objective):
                 continue
             sizes = self.sizes(node.solution)
             shares = [grid.off(value) for grid, value in zip(self.grids.values(), sizes, strict=True)]
-            off = [j for j, share in enumerate(shares) if share]
-            if not off:
+            if not any(shares):
                 self.build([grid.nearest(value) for grid, value in zip(self.grids.values(), sizes, strict=True)], node.solution)
                 continue
-            j = max(off, key=lambda j: shares[j]) if whole else max(off, key=lambda j: order[j])
+            j = int(np.argmax(shares))
             grid = list(self.grids.values())[j]
-            sides = []
             for side, end in ((0, grid.below(sizes[j])), (1, grid.above(sizes[j]))):
                 box = [node.low.copy(), node.high.copy()]
                 box[1 - side][j] = end
@@ -225,20 +242,102 @@ class _Search:
                     continue
                 solution = self.within(box[0], box[1], node.solution)
                 if solution.usable and not self._worse(solution.objective):
-                    sides.append(_Node((solution.objective, next(count)), box[0], box[1], solution))
-            for one in sorted(sides, reverse=True):
-                heapq.heappush(open_nodes, one) if whole else open_nodes.append(one)
+                    heapq.heappush(open_nodes, _Node((solution.objective, next(count)), box[0], box[1], solution))
             if progress:
                 progress(min(1.0, self.solved / most))
+
+    def _near(self, progress: Progress, most: int, *, any_valid: bool) -> None:
+        """Search the grid near the optimum by its quadratic model, and again near the best design found, while that gets better.
+
+        The model lists designs in the order of its objective; each is evaluated, and validated if it meets its limits.
+        """
+        x, done = self.top.x, 0
+        while True:
+            before, reached = self.best, None
+            for end in itertools.islice(self._listed(x), most - done):
+                done += 1
+                if progress:
+                    progress(min(1.0, done / most))
+                if self.best is not before:
+                    reached, before = end, self.best
+                    if any_valid:
+                        return
+            if reached is None or done >= most:
+                return
+            x = reached
+
+    def _listed(self, x: Array) -> Iterator[Array]:
+        """Yield the scaled points of designs on the grid near one as they are built, best first by its quadratic model."""
+        nlp, p, count = self.nlp, self.top.p, itertools.count()
+        sizes, grids = [v.value(float(x[k])) for v, k in zip(self.variables, self.at, strict=True)], list(self.grids.values())
+        reach = np.full(len(x), FARTHEST)
+        reach[nlp.first_level :] = math.inf if nlp.first_level else FARTHEST
+        reach[self.at] = [STEPS * grid.width(size) / v.size for grid, size, v in zip(grids, sizes, self.variables, strict=True)]
+        model = QuadraticModel(nlp, x, p, self.top.conditions.multipliers[len(x) :], np.minimum(reach, 1e3))
+        where = np.searchsorted(model.unknowns, self.at)
+        others = set(model.unknowns) - set(self.at) - set(range(nlp.first_level or len(x), len(x)))
+        first = model.minimum(model.least, model.most)
+        best, nodes, version = math.inf, 0, 0
+        heap = [] if first is None else [(first[0], next(count), 0, model.least, model.most, first[1])]
+        while heap and nodes < NODES:
+            bound, _, made, low, high, change = heapq.heappop(heap)
+            if bound >= best - SAME_OBJECTIVE * abs(best):
+                return
+            if made != version:  # its rows are tighter by now
+                again = model.minimum(low, high)
+                if again is not None:
+                    heapq.heappush(heap, (again[0], next(count), version, low, high, again[1]))
+                continue
+            here = [v.value(float(y)) for v, y in zip(self.variables, x[self.at] + change[where], strict=True)]
+            shares = [
+                grid.off(size) if abs(grid.nearest(size) - size) > CLOSE * grid.width(size) else 0.0
+                for grid, size in zip(grids, here, strict=True)
+            ]
+            if not any(shares):
+                made_of = [grid.nearest(size) for grid, size in zip(grids, here, strict=True)]
+                if tuple(made_of) in self.evaluated:
+                    continue
+                end = x + model.follow @ change
+                end[self.at] = [v.scaled(size) for v, size in zip(self.variables, made_of, strict=True)]
+                start = multistart.solution_at(nlp, np.clip(end, nlp.x_low, nlp.x_high), self.top.message)
+                self.evaluated.add(tuple(made_of))
+                if others or start.usable:
+                    self.build(made_of, start)
+                valid = tuple(made_of) in self.tried and self.tried[tuple(made_of)].valid
+                if valid:
+                    best = min(best, nlp.values(start.x, p)[0])
+                elif not start.usable and not others and np.isfinite(start.g).all():
+                    model.tighten(change, start.g)
+                    version += 1
+                yield start.x
+                continue
+            j = int(np.argmax(shares))
+            for side, edge in ((0, grids[j].below(here[j])), (1, grids[j].above(here[j]))):
+                box = [low.copy(), high.copy()]
+                if not math.isfinite(edge):
+                    continue
+                box[1 - side][where[j]] = self.variables[j].scaled(edge) - x[self.at[j]]
+                if box[0][where[j]] > box[1][where[j]] + CLOSE * reach[self.at[j]]:
+                    continue
+                box[1] = np.maximum(*box)
+                nodes += 1
+                found = model.minimum(*box)
+                if found is not None:
+                    heapq.heappush(heap, (found[0], next(count), version, box[0], box[1], found[1]))
+
+    @cached_property
+    def given(self) -> bool:
+        """Whether the rounded sizes determine the design: no other size, and no crank angle, is free."""
+        return set(self.task.free) <= self.grids.keys() and not any(part.data.offsets is None for part in self.task.parts)
 
     @cached_property
     def exact(self) -> bool:
         """Whether no size is left that could restore a limit without tolerance which the rounded ones change."""
         free = {name for name in self.task.free if name in self.task.mechanism.quantities}
-        return free <= self.grids.keys() and any(not one.room and one.change for one in self.table())
+        return free <= self.grids.keys() and any(not one.room and one.change and not one.one_sided for one in self.table())
 
     def closest(self) -> tuple[LinkageDesign | None, dict[str, str]]:
-        """Return the design tried that misses the limits least, and the tolerances, by limit, with which it would meet them."""
+        """Return the design tried that misses the limits least, and the tolerances or bounds with which it would meet them."""
         moved: dict[str, float] = {}
         for one in self.table():
             moved[one.limit] = max(moved.get(one.limit, 0.0), one.change)
@@ -249,17 +348,21 @@ class _Search:
                 shown = next(one for one in design.figures if one.name == bound.name)
                 (low, high), size = bound.interval.bounds, factor(shown.unit, bound.interval.kind) if bound.interval.kind else 1.0
                 value, half = shown.result * size, 0.5 * (high - low)
-                if math.isfinite(half) and (gap := abs(value - 0.5 * (low + high))) > half:
-                    excess[shown.words] = gap / size, shown.unit
+                gap = max(low - value, value - high) / size
+                if gap > 0.0:
+                    words = f"+- {rounded_up(gap + half / size)}"
+                    if not math.isfinite(half):
+                        side, sign, limit = ("<=", 1.0, high) if math.isfinite(high) else (">=", -1.0, low)
+                        words = f"{side} {limit / size + sign * float(rounded_up(gap)):.6g}"
+                    excess[shown.words] = gap, f"{words} {shown.unit}".rstrip()
             return excess
 
         def worst(design: LinkageDesign) -> float:
-            shares = [gap / moved.get(name, gap) for name, (gap, _) in missed(design).items()]
+            shares = [gap / moved[name] if moved.get(name) else gap for name, (gap, _) in missed(design).items()]
             return max(shares, default=math.inf)
 
         near = min(self.tried.values(), key=worst, default=None)
-        needed = {} if near is None else missed(near)
-        return near, {name: f"{rounded_up(gap)} {unit}".strip() for name, (gap, unit) in needed.items()}
+        return near, {} if near is None else {name: words for name, (_, words) in missed(near).items()}
 
     def _allowed(self, j: int, value: float) -> bool:
         """Return whether a size is within its bounds."""
@@ -269,10 +372,6 @@ class _Search:
     def _worse(self, objective: float) -> bool:
         """Return whether no design with such a bound is better than the best one."""
         return self.best is not None and objective >= self.best.objective - SAME_OBJECTIVE * abs(self.best.objective)
-
-    def influences(self) -> list[float]:
-        """Return for each size the largest change of a limit by half a step, as a share of its tolerance."""
-        return [max((one.share for one in self.table() if one.size == name), default=0.0) for name in self.grids]
 
     def table(self) -> list[Influence]:
         """Return what half a step of each size changes at most, of the limits with two sides; ends of strokes follow it."""
@@ -287,13 +386,17 @@ class _Search:
         for j, (name, grid) in enumerate(self.grids.items()):
             half = 0.5 * grid.width(sizes[j]) / self.variables[j].size
             for row, slope, value in zip(nlp.rows, jacobian[:, self.at[j]], here.g, strict=True):
-                if row.limit in nlp.helpers or not (math.isfinite(row.low) and math.isfinite(row.high)):
+                if row.limit in nlp.helpers or row.limit in nlp.states or not math.isfinite(slope):
                     continue
-                size = abs(row.scale.slope(float(value)))
-                change, room = float(abs(slope) * half * size), float(0.5 * (row.high - row.low) * size)
+                two, size = math.isfinite(row.low) and math.isfinite(row.high), abs(row.scale.slope(float(value)))
+                away = 0.5 * (row.high - row.low) if two else min(value - row.low, row.high - value)
+                change, room = float(abs(slope) * half * size), float(away * size) if away > FEASIBLE else 0.0
                 key = name, row.label or row.limit
-                if key not in found or change > found[key].change:
-                    found[key] = Influence(*key, change, room, row.scale.unit)
+                made = Influence(*key, change, room, row.scale.unit, one_sided=not two)
+                if (two or change > max(LEAST_SHARE * room, FEASIBLE * size)) and (
+                    key not in found or (made.share, change) > (found[key].share, found[key].change)
+                ):
+                    found[key] = made
         return list(found.values())
 
 

@@ -49,7 +49,7 @@ from optlink.tasks.results.common import Evidence
 from optlink.tasks.results.conflict import OpposedLimit, opposed_limits, outward
 from optlink.tasks.results.exact import DEFECTS
 from optlink.tasks.results.fit import Fit
-from optlink.tasks.results.rounding import Rounding
+from optlink.tasks.results.rounding import Influence, Rounding
 from optlink.units import percent
 from optlink.validation import Check
 
@@ -333,11 +333,9 @@ def _rounded_sizes(outcome: SynthesisResult, rounding: Rounding, values: Mapping
     for name, step in rounding.steps.items():
         factor, unit = outcome.problem.model.display(name)
         row: Row = (name, dimension(rounding.optimum[name] * factor), strong(dimension(values[name] * factor)), unit, step)
-        if rounding.influences:
-            most = next((one for one in rounding.influences if one.size == name), None)
-            change = "" if most is None else f"{number(most.change, 3)} {most.unit} of {number(most.room, 3)}"
-            row = (*row, "" if most is None else most.limit, change)
-        rows.append(row)
+        found = {one.one_sided: one for one in reversed(rounding.influences) if one.size == name}
+        changes = [(one.limit, _influence(one)) for _, one in sorted(found.items())] or [("", "")] * bool(rounding.influences)
+        rows += [(*row, *changes[0]), *(("", "", "", "", "", *more) for more in changes[1:])] if changes else [row]
     model = outcome.problem.model
     naive = "" if rounding.naive is None else f"{number(model.shown_objective(rounding.naive).value, 6)}, "
     nearest = f"nearest sizes: {naive}{'valid' if rounding.naive_valid else 'not valid'}"
@@ -349,9 +347,21 @@ def _rounded_sizes(outcome: SynthesisResult, rounding: Rounding, values: Mapping
         ">rounded",
         "",
         "step",
-        *(["changes most", "by half a step, tolerance"] if rounding.influences else []),
+        *(["changes most", "by half a step"] if rounding.influences else []),
     ]
     return replace(table("Rounding", heads, rows), notes=notes)
+
+
+def _influence(one: Influence) -> str:
+    """Return what half a step changes a limit by, and how much of that the limit admits."""
+    change = f"{number(one.change, 3)} {one.unit}".rstrip()
+    if not one.one_sided:
+        return f"{change}, tolerance +- {number(one.room, 3)}"
+    return (
+        f"{change}, {number(one.room, 3)} left at the optimum"
+        if one.room > one.change * 1e-3
+        else f"{change}, none left at the optimum"
+    )
 
 
 def reached(outcome: SynthesisResult, evidence: Evidence) -> str:

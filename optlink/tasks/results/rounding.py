@@ -12,17 +12,21 @@ from optlink.units import percent
 
 @dataclass(frozen=True)
 class Influence:
-    """What half a step of a size changes a limit by, and half the width of that limit, both in `unit`."""
+    """What half a step of a size changes a limit by, in `unit`.
+
+    `room`: half the width of a limit with two sides, the distance of the optimum from a `one_sided` one.
+    """
 
     size: str
     limit: str
     change: Number
     room: Number
     unit: str
+    one_sided: bool = False
 
     @property
     def share(self) -> float:
-        """The change as a share of the tolerance; infinite where there is none."""
+        """The change as a share of the room; infinite where there is none."""
         return self.change / self.room if self.room > 0.0 else math.inf if self.change > 0.0 else 0.0
 
 
@@ -64,9 +68,9 @@ class Rounding:
         if math.isnan(objective):
             ways = [f"divide the steps by {self.finer:g}"] if self.finer else []
             if self.needed:
-                ways.append("allow " + ", ".join(f"{name} +- {value}" for name, value in self.needed.items()))
+                ways.append("allow " + ", ".join(f"{name} {value}" for name, value in self.needed.items()))
             return f"no valid design was found on a grid of {self.text}" + (f"; {', or '.join(ways)}" if ways else "")
-        found = "the whole grid was searched" if self.whole else f"a part of the grid was searched ({self.solved} programmes)"
+        found = "the whole grid was searched" if self.whole else "the grid was searched near the optimum, not all of it"
         share = self.loss(objective)
         lost = f"{percent(share, signed=True)} by rounding" if math.isfinite(share) else "exact without rounding"
         return f"grid of {self.text}, valid as built; {found}; {lost}"
