@@ -68,6 +68,8 @@ ACCEPTED = {
     optlink.synthesis.starts: {"problem": optlink.load("path-arc5")},
     optlink.synthesis.exact: {"problem": optlink.load("motion-5-poses")},
     optlink.motion: {"problem": MACHINE, "crank_angle": [0.1, 0.2]},
+    optlink.objective: {"unit": "N m", "measure": "rms"},
+    optlink.limit: {"unit": "deg", "max": 45.0},
     optlink.report: {"source": MACHINE, "file": "page.html"},
     optlink.export: {"source": MACHINE, "file": "drawing.svg"},
 }

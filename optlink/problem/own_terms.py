@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
@@ -70,9 +71,10 @@ def objective(*, unit: str = "", measure: Measure = "peak") -> Callable[[Formula
     >>> problem.raw["objective"]
     {'quantity': 'drive torque', 'measure': 'rms'}
     """
+    kind = _kind(unit)
 
     def decorated(formula: Formula) -> OwnTerm:
-        name = _registered(formula, unit)
+        name = _registered(formula, kind)
         return OwnTerm(formula, {"objective": {"quantity": name, "measure": measure}})
 
     return decorated
@@ -111,21 +113,29 @@ def limit(*, unit: str = "", max: float | None = None, min: float | None = None)
     if len(bounds) != 1:
         raise InputError("a limit has one bound", "Give max or min; for both decorate two functions", key="max, min")
     (side, value), measure = *bounds.items(), "largest" if max is not None else "least"
+    if not math.isfinite(value):
+        raise InputError("a bound is a finite number", "Give one such as 45", key=side, value=f"{value:g}")
+    kind = _kind(unit)
 
     def decorated(formula: Formula) -> OwnTerm:
-        name = _registered(formula, unit)
+        name = _registered(formula, kind)
         bound = f"{value!r} {unit}" if unit else value
         return OwnTerm(formula, {f"limits.{formula.__name__}": {"quantity": name, "measure": measure, side: bound}})
 
     return decorated
 
 
-def _registered(formula: Formula, unit: str) -> str:
-    """Register a function as a quantity and return its name, which is that of the function with spaces."""
+def _kind(unit: str) -> str:
+    """Return the kind of quantity of a unit; empty for a plain number."""
     kind = kind_of_unit(unit) if unit else ""
     if kind is None:
         remedy = f"Write one of {', '.join(one.display for one in KINDS.values() if one.display)}"
         raise InputError(f'"{unit}" is not a unit', remedy, key="unit", value=unit)
+    return kind
+
+
+def _registered(formula: Formula, kind: str) -> str:
+    """Register a function as a quantity and return its name, which is that of the function with spaces."""
     name, forces = formula.__name__.replace("_", " "), len(inspect.signature(formula).parameters) > 1
     quantity = QuantityType(
         name,

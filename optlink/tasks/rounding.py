@@ -38,11 +38,9 @@ from optlink.validation import validate
 
 ON_GRID = 1e-7  # share of a step: a size this close to a grid value has it
 FEW = 4  # sizes up to which the whole grid is searched
-WHOLE, PER_SIZE = (
-    1000,
-    30,
-)  # programmes solved at most on the whole grid; designs per size near the optimum where it is too large for that
-STEPS, FARTHEST = 20.0, 0.1  # reach of the quadratic model: steps of the grid, and of other unknowns (scaled)
+WHOLE = 1000  # programmes solved at most on the whole grid
+PER_SIZE = 30  # designs per size near the optimum, where the grid is too large for that
+STEPS, FARTHEST = 10.0, 0.1  # reach of the quadratic model: steps of the grid, and of other unknowns (scaled)
 NODES = 30_000  # minima of a quadratic model at most
 CLOSE = 1e-6  # share of a step: a size of the model this close to a grid value has it
 FINER = 2.0, 5.0, 10.0, 20.0, 50.0, 100.0  # divisors of the steps with which a design is looked for where none has the steps
@@ -349,9 +347,12 @@ class _Search:
                 (low, high), size = bound.interval.bounds, factor(shown.unit, bound.interval.kind) if bound.interval.kind else 1.0
                 value, half = shown.result * size, 0.5 * (high - low)
                 gap = max(low - value, value - high) / size
+                if not math.isfinite(gap):
+                    return {}  # the design does not reach a position
                 if gap > 0.0:
-                    words = f"+- {rounded_up(gap + half / size)}"
-                    if not math.isfinite(half):
+                    if math.isfinite(half):
+                        words = f"+- {rounded_up(gap + half / size)}"
+                    else:
                         side, sign, limit = ("<=", 1.0, high) if math.isfinite(high) else (">=", -1.0, low)
                         words = f"{side} {limit / size + sign * float(rounded_up(gap)):.6g}"
                     excess[shown.words] = gap, f"{words} {shown.unit}".rstrip()

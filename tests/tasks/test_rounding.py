@@ -141,6 +141,18 @@ def test_six_sizes_of_a_press_are_rounded():
     assert checked.objective == pytest.approx(result.objective, rel=1e-9)
 
 
+def test_a_limit_of_one_side_is_needed_with_the_value_of_the_nearest_design():
+    limit = {"quantity": "transmission angle", "of": "C", "measure": "least", "min": "60 deg"}
+    changes = {"requirement.stroke": "50 deg +- 20 deg", "requirement.time_ratio": "1.25 +- 0.2", "limits.transmission": limit}
+    stock = {"crank": ["36 mm", "37 mm"], "coupler": ["76 mm"], "rocker": ["93 mm"]}
+    result = optlink.solve(optlink.load("stroke-crank-rocker", changes), starts=1, rounding=stock)
+    assert not result.valid
+    (words,) = result.rounding.needed.values()
+    *_, pressure = crank_rockers(*(result.design[name] for name in LENGTHS), 0.1)
+    needed = float(words.removeprefix(">= ").removesuffix(" deg"))
+    assert needed <= 90.0 - math.degrees(pressure) < needed + 1.0
+
+
 def test_stock_sizes():
     stock = ["200 mm", "225 mm", "230 mm", "240 mm"]
     result = optlink.solve("crank-rocker", certify=False, rounding={"": "1 mm", "rocker": stock})
