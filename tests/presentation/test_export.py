@@ -408,7 +408,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
 from typer.testing import CliRunner
 from optlink.cli.app import app
 for path in sys.argv[1:]:
-    done = CliRunner().invoke(app, ["report" if path.endswith(".html") else "export", "shaper", "-o", path])
+    done = CliRunner().invoke(app, ["report" if path.endswith(".html") else "export", "six-bar", "-o", path])
     print(done.exit_code)
     print(done.output, file=sys.stderr)
 """
