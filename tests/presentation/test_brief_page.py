@@ -13,7 +13,7 @@ import optlink
 from optlink.presentation.format import requirements
 from optlink.presentation.html.page import page, write_page
 from optlink.presentation.html.study_page import abridged
-from optlink.presentation.interface import content
+from optlink.presentation.interface import page_content
 from optlink.presentation.views.search_tables import limits
 from optlink.validation import Check
 from tests.browser import console, faults, opened
@@ -28,7 +28,7 @@ SEARCH = re.compile(r"KKT|multistart|Lagrange|shadow|iterations|local(?:ly)? opt
 
 
 def short(source: str) -> str:
-    return page(content(optlink.read_result(source) if source.endswith(".json") else source, {}), brief=True)
+    return page(page_content(optlink.read_result(source) if source.endswith(".json") else source, {}), brief=True)
 
 
 def text_of(document: str) -> str:
@@ -47,7 +47,7 @@ def test_a_short_page_fills_at_most_two_sheets(driver, source, tmp_path):
 
 def test_paper_shows_positions_in_place_of_the_motion(driver, tmp_path):
     place = tmp_path / "page.html"
-    write_page(content("crank-rocker", {}), place, brief=True)
+    write_page(page_content("crank-rocker", {}), place, brief=True)
     opened(driver, place)
     stills, moving = (driver.find_element("css selector", name) for name in (".stills", ".linkage"))
     assert moving.is_displayed()
@@ -97,7 +97,7 @@ def test_a_violated_limit_comes_first_and_a_value_is_one_row():
 def test_a_chart_marked_for_the_short_page_comes_before_others():
     from optlink.presentation.html.page import _report
 
-    study = _report(content("crank-rocker", {}))
+    study = _report(page_content("crank-rocker", {}))
     *before, curves = study.sections
     marked = replace(curves, parts=[replace(curves.parts[0], brief=False), *curves.parts[1:]])
     titles = [chart.title for chart in abridged(replace(study, sections=[*before, marked])).sections[-1].parts]

@@ -483,7 +483,7 @@ def test_an_unknown_content_is_refused(file, content, says, tmp_path):
 
 def test_every_content_has_a_writer(tmp_path):
     """All entries of the registry write a file of a machine that has parts and layers."""
-    about = of("crank-rocker")
+    about = of("six-bar")
     for ending, contents in FORMATS.items():
         for content in contents:
             assert written(about, tmp_path / f"{content}{ending}", content=content).stat().st_size > 500
