@@ -509,11 +509,18 @@ LONG = {
 }
 """Commands that take more than a few seconds: `readme_record.json` has their figures with the date."""
 
-PLACEHOLDERS = {"optlink balance mine.toml --design result.json"}
+PLACEHOLDERS = {
+    "optlink balance mine.toml --design result.json",
+    'optlink new --from "https://app.pmksplus.com/?2P.Ay..." --out mine.toml',
+}
 """Commands with files of the reader."""
 
 SERVER = "optlink studio"
 """Begins commands that end with Ctrl-C alone; the tests of the studio run it."""
 
-PREPARED = {"docs/reports.md": ["optlink solve crank-rocker --out out"]}
+PREPARED = {
+    "docs/reports.md": ["optlink solve crank-rocker --out out"],
+    "docs/exchange.md": ["optlink show balance-four-bar --toml > mine.toml"],
+    "docs/from-sam-pmks.md": ["optlink show balance-four-bar --toml > drawn.toml"],
+}
 """Commands that write what the commands of a page read."""
