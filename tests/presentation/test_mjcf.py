@@ -56,6 +56,12 @@ MACHINES: dict[str, dict[str, Any]] = {
 """Shipped machines with the sections that are replaced: loads that MuJoCo cannot have, and masses where the file has none."""
 
 
+@pytest.fixture(autouse=True)
+def _folder_of_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes its warnings to MUJOCO_LOG.TXT in the working folder."""
+    monkeypatch.chdir(tmp_path)
+
+
 def machine(name: str, folder: Path, sections: dict[str, Any]) -> optlink.Analysis:
     raw = tomllib.loads((ROOT / "problems" / f"{name}.toml").read_text()) | sections
     raw.pop("expected", None)
@@ -114,3 +120,19 @@ def test_what_mujoco_cannot_have_is_refused_by_name(name):
     with pytest.raises(optlink.InputError) as error:
         mjcf(run, float(run.positions[0]))
     assert str(error.value).endswith(f": {REFUSED[name]}")
+
+
+def test_a_design_that_stops_at_a_dead_centre_is_refused(tmp_path):
+    """Coupler and rocker together are as long as the crank and the frame, or 1e-10 mm shorter."""
+    links = {name: {"joints": list(joints), "length": "250 mm"} for name, joints in {"coupler": "BC", "rocker": "DC"}.items()}
+    ground = {"A": ["0 mm", "0 mm"], "D": ["400 mm", "0 mm"]}
+    raw = {"title": "t", **FOUR_BAR, "drive": {"body": "crank", "speed": "60 rpm", "start": "180 deg"}}
+    links = {"crank": {"joints": ["A", "B"], "length": "100 mm"}, **links}
+    for length in ("250 mm", "249.9999999999 mm"):
+        links["coupler"]["length"] = length
+        assembly = {"C": "left of B-D"}
+        raw["mechanism"] = {"type": "dyads", "ground": ground, "links": links, "assembly": assembly}
+        (tmp_path / "dead.toml").write_text(tomli_w.dumps(raw))
+        run = optlink.analyze(tmp_path / "dead.toml")
+        with pytest.raises(optlink.InputError, match="cannot be assembled over the whole turn, or passes a dead centre"):
+            mjcf(run, float(run.positions[0]))

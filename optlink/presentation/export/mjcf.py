@@ -64,18 +64,23 @@ def mjcf(cycle: Analysis, at: float) -> str:
     Raises
     ------
     InputError
-        If MuJoCo has no counterpart for a part of the machine.
+        If MuJoCo has no counterpart for a part of the machine, or the machine cannot be assembled over the whole turn.
     """
     for what, remedy, key in _without_counterpart(cycle):
         raise InputError(f"MuJoCo has no counterpart for {what}", remedy, cycle.problem.file, key)
-    return _Model(cycle, at).text()
+    with np.errstate(all="ignore"):
+        kinetic = cycle.machine.moving([at, *cycle.positions], cycle.speed).kinetic
+    if not np.all(np.isfinite(kinetic)):
+        message = "the design cannot be assembled over the whole turn, or passes a dead centre"
+        raise InputError(message, "Change a length a little", cycle.problem.file, "mechanism")
+    return _Model(cycle, at, float(np.max(kinetic))).text()
 
 
 class _Model:
     """A machine in the pose in which its motion starts, with a tree of its joints."""
 
-    def __init__(self, cycle: Analysis, at: float) -> None:
-        self.cycle, self.machine, self.mechanism = cycle, cycle.machine, cycle.machine.mechanism
+    def __init__(self, cycle: Analysis, at: float, kinetic: float) -> None:
+        self.kinetic, self.cycle, self.machine, self.mechanism = kinetic, cycle, cycle.machine, cycle.machine.mechanism
         self.moving = self.machine.moving([at], cycle.speed)
         self.size = float(self.machine.size)
         self.parents: dict[str, tuple[str, Hinge | Slide]] = {}
@@ -218,8 +223,7 @@ class _Model:
     def flywheel(self) -> float:
         """Inertia of a flywheel on the crank [kg m^2], large beside the inertia of the machine and its torque."""
         speed, torque = abs(self.cycle.speed), self.cycle["input.torque_Nm"]
-        kinetic = float(np.nanmax(self.machine.moving(self.cycle.positions, speed).kinetic))
-        return FLYWHEEL * (2.0 * kinetic + float(np.max(np.abs(torque[np.isfinite(torque)]), initial=0.0))) / speed**2
+        return FLYWHEEL * (2.0 * self.kinetic + float(np.max(np.abs(torque[np.isfinite(torque)]), initial=0.0))) / speed**2
 
     def _rates(self, body: str) -> Iterator[float]:
         """Yield the rates of the joints at the start, in the order of MuJoCo."""
