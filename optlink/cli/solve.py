@@ -82,9 +82,10 @@ def solve(
     console.places(out, "solve", problem)
     limits: dict[str, object] = {"--gap": gap, "--time-limit": time_limit}
     where: dict[str, object] = {"--engine": engine, "--workers": workers, "--scheduler": scheduler}
+    steps = " ".join(rounding or ()) or None
     if design:
         console.refuse(
-            {"--all": every, "--certify": certify, "--round": " ".join(rounding) if rounding else None} | limits | where,
+            {"--all": every, "--certify": certify, "--round": steps} | limits | where,
             "a given design is validated, not optimised",
             "Leave it out",
         )
@@ -97,12 +98,7 @@ def solve(
     if every:
         from optlink.tasks.exact import exact
 
-        searched = {
-            "--certify": certify,
-            "--round": " ".join(rounding) if rounding else None,
-            "--starts": starts,
-            "--designs": designs,
-        }
+        searched = {"--certify": certify, "--round": steps, "--starts": starts, "--designs": designs}
         console.refuse(searched | limits | where, "exact solutions are listed without a search", "Leave it out", file.file)
         console.deliver(exact(file), as_json, out)
         return
