@@ -604,10 +604,10 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
             common = not path and step in Problem.model_fields  # no other kind is imported for it
             keys = [step] if common else known_keys(path) if _fixed(path) else list(table)
             if step not in keys:
-                remedy = nearest(step, keys, [] if path else keys_ending(raw, key))
+                remedies = [nearest(step, keys, [] if path else keys_ending(raw, key))] if keys else []
                 if not _fixed(path):
-                    remedy += f". Give a new table as a whole:  {'.'.join(steps[: depth + 1])}={{ ... }}"
-                raise InputError("unknown key", remedy, file, key)
+                    remedies.append(f"Give a new table as a whole:  {'.'.join(steps[: depth + 1])}={{ ... }}")
+                raise InputError("unknown key", ". ".join(remedies), file, key)
             table[step] = {}
         table = table[step if place is None else place]
         following = steps[depth + 1]
