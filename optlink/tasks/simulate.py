@@ -248,7 +248,7 @@ def simulate(
         notes.append(f"the end stop holds it with {held:.6g} {effort.unit}")
     law = "motion laws" if len(machine.mechanism.drives) > 1 else "a motion law"
     if freedoms:
-        law = f"{len(free)} free of {len(machine.mechanism.drives)} drives" if problem.model.drives else "a controller"
+        law = f"{len(machine.mechanism.drives)} drives, {len(free)} of them free" if problem.model.drives else "a controller"
     return Simulation(
         problem,
         dict(design or {}),

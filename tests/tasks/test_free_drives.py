@@ -84,7 +84,7 @@ def test_elbow_swings_freely_while_the_shoulder_follows_its_law():
     mass = masses(q)
     shoulder = mass[0, 0] * a1 + mass[0, 1] * bend(time, q, w) + bias(q1, q, w1, w)[0]
     np.testing.assert_allclose(run["shoulder.torque_Nm"], shoulder, atol=1e-7)
-    assert run.driven == "1 free of 2 drives"
+    assert run.driven == "2 drives, 1 of them free"
     balanced(run)
 
 

@@ -221,9 +221,12 @@ def _moving(run: Simulation, steps: int) -> Moving | None:
 
     (speed, what, _, _), rows = _speed(run), even(len(run["time_s"]), steps + 1)
     crank = run.position[rows]
-    shown = [("cycle" if run.machine.mechanism.drives else "crank angle", Scale(1.0, "deg"), crank)]
+    drives = run.machine.mechanism.drives
+    shown = [] if drives else [("crank angle", Scale(1.0, "deg"), crank)]
     every = [(effort.column, effort.words, effort.unit) for effort in efforts(run.machine.mechanism)]
-    for name, words, unit in ((speed, what, "m/s" if speed.endswith("m_s") else "rad/s"), *every):
+    angles = [(f"{drive.body}.angle_rad", f"angle of {drive.body}", "deg") for drive in drives if drive.kind == "angle"]
+    own = [(speed, what, "m/s" if speed.endswith("m_s") else "rad/s")] if len(drives) < 2 else []
+    for name, words, unit in (*angles, *own, *every):
         if name in run.columns:
             shown.append((words, scale(largest(run.columns, [name]), unit), run[name][rows]))
     machine, free = run.machine, _free_coordinates(run)
@@ -259,7 +262,7 @@ def conclusion(result: Simulation) -> str:
         text += f"the {result.problem.model.driving.coordinate} is {figure(1e3 * figures['end.position_m'], 'mm')}, "
         text += f"its speed {figure(1e3 * figures['end.speed_m_s'], 'mm/s')}"
     else:
-        text += f"of {result.driven} the motion ends"
+        text += "the motion ends"
     if "last_turn.fluctuation" in figures:
         last = "cycle" if "last_turn.revolutions" in figures else "revolution"
         text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:z.2f} % in the last {last}"
