@@ -54,6 +54,7 @@ NARRATED = {
     "parts": "parts.md#the-section-parts",
     "requirement": "problem-files.md#kinds-of-requirement",
     "requirements": "problem-files.md#several-demands",
+    "rounding": "synthesis.md#rounding",
     "limits": "problem-files.md#limits",
     "tolerances": "problem-files.md#tolerances-and-a-robust-design",
     "objective": "machine-design.md#terms",

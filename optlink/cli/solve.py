@@ -47,7 +47,7 @@ WORKERS = (
 GAP = "--certify: largest gap between design and lower bound, as a share of the objective. Default: 1e-6."
 ROUND = (
     'Step of all free lengths, such as "0.1 mm", or NAME=STEP, or a stock of sizes, NAME=["50 mm", "60 mm"]; repeatable. '
-    "The design has such sizes, and is validated with them."
+    "The design has such sizes, and is validated with them. Default: [rounding] of the file; none: without rounding."
 )
 ALL = "List all exact solutions of five poses, timed points or points of a function of a four-bar, each with what excludes it."
 DETAILS = "Print all checks, tables and times too; JSON and page always have them. A failed check is always printed."
@@ -121,8 +121,8 @@ def solve(
     console.deliver(result, as_json, out, details=details)
 
 
-def _steps(rounding: list[str] | None) -> dict[str, object] | None:
-    """Return what --round states by the name of the size, with "" for all others."""
+def _steps(rounding: list[str] | None) -> str | dict[str, object] | None:
+    """Return what --round states: one step of all sizes, or by the name of the size, with `step` for all others."""
     from optlink.problem.assignment import parse_assignments
 
     if not rounding:
@@ -132,7 +132,7 @@ def _steps(rounding: list[str] | None) -> dict[str, object] | None:
         remedy = "Give one, and those of single sizes as NAME=STEP"
         raise InputError("there are two steps for all sizes", remedy, key="--round", value=steps[1])
     named = parse_assignments([text for text in rounding if "=" in text], "--round")
-    return {"": steps[0]} | named if steps else named
+    return {**({"step": steps[0]} if steps else {}), **named} if named else steps[0]
 
 
 def _automatic(file: ProblemFile) -> bool:

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-from pydantic import PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from optlink.dynamics.machine import Inertia
 from optlink.linkage.dyads import transmitting
@@ -26,6 +26,7 @@ from optlink.problem.quantity import Quantity, Unusable, below, quantity_key, re
 from optlink.problem.requirements.base import NoRequirement, Requirement, StartPosition, TargetArrays, names_of
 from optlink.problem.requirements.kinds import AnyRequirement
 from optlink.problem.requirements.points import carrier
+from optlink.problem.rounding import ALL, Grid, Rounding, read_grids
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.law import Function, Law, SlideExpression
 from optlink.problem.targets.target_points import TargetPoints
@@ -55,6 +56,10 @@ class DesignProblem(Problem):
     """Objective of quantities of the machine."""
     limits: Limits = Limits()
     """Limits of the design."""
+    rounding: Rounding = Field(default_factory=dict)
+    """Sizes that can be made, by name: a step `"0.1 mm"`, a list of stock sizes, `{ step, from }` such as a grid of holes, or
+    `{ teeth = [12, 60] }` of the ratio of two gears; `step` for all other lengths. `solve` rounds to them; sweeps, fronts,
+    sensitivities and proofs do not."""
     _place: tuple[str, str] = PrivateAttr(("requirement", ""))  # key of the requirement, and the beginning of its quantities
 
     @model_validator(mode="after")
@@ -83,6 +88,13 @@ class DesignProblem(Problem):
     def has_error(self) -> bool:
         """Whether a design has an error over the span of a motion law."""
         return self.task == "function"
+
+    @cached_property
+    def grids(self) -> dict[str, Grid]:
+        """Grids of the free sizes that the file states; one that is fixed has its size."""
+        quantities = self.mechanism.quantities
+        free = [name for name in self.free if name in quantities]
+        return read_grids({name: raw for name, raw in self.rounding.items() if name in (ALL, *free)}, quantities, free)
 
     @cached_property
     def four_bar(self) -> InnerFourBar | None:
@@ -145,6 +157,8 @@ class DesignProblem(Problem):
                     raise Unusable(message, "Leave it out", f"{part.key}.{key}", stated)
         if self.composed:
             self._check_composition()
+        with below("rounding"):
+            read_grids(self.rounding, self.mechanism.quantities, list(self.mechanism.quantities))
         super().check()
 
     def _check_cycle(self) -> None:

@@ -43,6 +43,7 @@ from optlink.problem.overview import linkage_type
 from optlink.problem.quantity import BOTH, input_of, nearest, write
 from optlink.problem.requirements.base import DEFAULT_KIND, names_of
 from optlink.problem.requirements.kinds import REQUIREMENTS
+from optlink.problem.rounding import with_grid
 from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.tolerances import read_tolerance, with_tolerance
 from optlink.units import in_si, is_unit, split, split_range
@@ -584,6 +585,10 @@ def _change(raw: dict[str, Any], changes: Mapping[str, object], file: str) -> No
         raw.pop("expected", None)
 
 
+NAMED = {"tolerances": with_tolerance, "rounding": with_grid}
+"""Sections of values by the name of a size, which can have dots; with the function that assigns one."""
+
+
 def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
     if key.partition(".")[0] in SPELLED:
         key = written(".".join(SPELLINGS.get(step, step) for step in key.split(".")), raw)
@@ -592,8 +597,8 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
         value = with_ranges(value, tuple(key.split(".")), WORDS)
     key, value = _whole(raw, key, value, file)
     section, _, name = key.partition(".")
-    if section == "tolerances" and name and isinstance(raw.setdefault(section, {}), dict):
-        with_tolerance(raw[section], name, value)
+    if section in NAMED and name and isinstance(raw.setdefault(section, {}), dict):
+        NAMED[section](raw[section], name, value)
         return
     steps = key.split(".")
     table: Any = raw
@@ -700,8 +705,8 @@ def _fixed(path: tuple[str, ...]) -> bool:
 
 # The problem with all design variables fixed at a given design: a machine for `analyze`, `simulate` and pictures.
 
-DESIGN_SECTIONS = ("requirement", "requirements", "objective", "limits", "expected")
-"""Sections that state requirements; without them a problem is a machine."""
+DESIGN_SECTIONS = ("requirement", "requirements", "objective", "limits", "rounding", "expected")
+"""Sections of a design; without them a problem is a machine."""
 
 
 def fixed_design(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:

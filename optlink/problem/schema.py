@@ -169,6 +169,10 @@ _TOLERANCE = {
     "additionalProperties": True,
 }  # D.x is a table
 
+_TEETH = {"title": "list of two whole numbers", **pair({"type": "integer", "minimum": 1})}
+_STOCK = {"type": "array", "items": _ANY_QUANTITY}
+_GRID = {**table("step", "from", form=_ANY_QUANTITY, teeth=_TEETH), "additionalProperties": True}
+
 _LAW = table(
     *FUNCTION_KEYS,
     **{"phi": column("angle"), "psi": column("angle"), "s": column("coordinate"), "input": text("angle")},
@@ -189,6 +193,10 @@ FORMS: dict[str, Form] = {
         "required": ["csv"],
     },
     "Problem.tolerances": {"title": "names with text or tables", **named({"anyOf": [TEXT, _TOLERANCE]})},
+    "DesignProblem.rounding": {
+        "title": "names with a step, a list or a table",
+        **named({"anyOf": [TEXT, NUMBER, _STOCK, _GRID]}),
+    },
     "BodySection.centroid": either("text, or `[along, across]`", TEXT, _FIXED_PLACE),
     "BodySection.inertia": either("moment of inertia, or `uniform bar`", {"const": "uniform bar"}, text("moment of inertia")),
     "DriveMotion.torque": size("torque"),
@@ -216,7 +224,7 @@ FORMS: dict[str, Form] = {
     "CylinderSection.joints": {"title": "list of two names", **pair(_NAME)},
     "GearSection.bodies": {"title": "list of two names", **pair(_NAME)},
     "BeltSection.bodies": {"title": "list of two names", **pair(_NAME)},
-    "GearSection.teeth": {"title": "list of two whole numbers", **pair({"type": "integer", "minimum": 1})},
+    "GearSection.teeth": _TEETH,
     "BeltSection.diameters": _WHEELS,
     "BeltSection.radii": _WHEELS,
     "CamSection.lift": either("length or angle, fixed, free or linked", *free("length", "angle")),

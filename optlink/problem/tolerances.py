@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -180,11 +180,17 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
     return replace(entry, folder=folder) if entry.measured else entry
 
 
-def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield entries by full name: TOML reads D.x = "..." as a table D with an entry x, and "D.x" = "..." as one name."""
+def flattened(table: Mapping[str, Any], keys: Collection[str], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield entries by full name: TOML reads D.x = "..." as a table D with an entry x, and "D.x" = "..." as one name.
+
+    Parameters
+    ----------
+    keys : collection of str
+        Keys of an entry that is a table itself.
+    """
     for key, entry in table.items():
-        if isinstance(entry, dict) and entry and not set(KEYS) & set(entry):
-            yield from _flat(entry, f"{above}{key}.")
+        if isinstance(entry, dict) and entry and not set(keys) & set(entry):
+            yield from flattened(entry, keys, f"{above}{key}.")
         else:
             yield f"{above}{key}", entry
 
@@ -193,7 +199,7 @@ def _read_table(raw: object, folder: Path) -> dict[str, ToleranceEntry]:
     if not isinstance(raw, dict):
         raise Unusable("expected a table", "Begin it with [tolerances]", "", raw)
     entries: dict[str, ToleranceEntry] = {}
-    for name, entry in _flat(raw):
+    for name, entry in flattened(raw, KEYS):
         if name in entries:
             raise Unusable("a tolerance is given twice", "Give each once", name)
         with below(name, entry):
@@ -211,10 +217,10 @@ def with_tolerance(table: dict[str, Any], name: str, value: object) -> None:
     Distribution and cost are kept unless the new value specifies its own.
     """
     before: Any = None
-    for other, entry in list(_flat(table)):
+    for other, entry in list(flattened(table, KEYS)):
         if other == name:
             before = entry
-            _remove(table, name)
+            remove(table, name)
     if value is None:
         return
     if before is not None and isinstance(value, str):
@@ -229,14 +235,14 @@ def with_tolerance(table: dict[str, Any], name: str, value: object) -> None:
     table[name] = value
 
 
-def _remove(table: dict[str, Any], name: str) -> None:
+def remove(table: dict[str, Any], name: str) -> None:
     """Remove an entry, whatever the nesting of its name."""
     if name in table:
         del table[name]
         return
     for cut, letter in enumerate(name):
         if letter == "." and isinstance(table.get(name[:cut]), dict):
-            _remove(table[name[:cut]], name[cut + 1 :])
+            remove(table[name[:cut]], name[cut + 1 :])
             if not table[name[:cut]]:
                 del table[name[:cut]]
 

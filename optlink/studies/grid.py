@@ -332,7 +332,7 @@ def read_grid(problem: ProblemFile, vary: Sequence[str] | Mapping[str, ArrayLike
         )
     for axis in grid.axes:  # one by one, so that the error names the axis
         section = axis.key.partition(".")[0]
-        if section in WORDS or (section == "tolerances" and problem.at("requirement.robust") is None):
+        if section in (*WORDS, "rounding") or (section == "tolerances" and problem.at("requirement.robust") is None):
             remedy = 'Vary a quantity, for example mechanism.frame="450..550 mm:101"'
             raise InputError("no result depends on this key", remedy, problem.file, f"{VARY} {axis.key}")
         for at in {axis.values.index(end) for end in (min(axis.values), max(axis.values))}:

@@ -35,6 +35,7 @@ from optlink.optimization.terms import rows as limit_rows
 from optlink.problem.design import DesignProblem, is_parameter
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Quantity, check_choice, place_of
+from optlink.problem.rounding import NO_GRID
 from optlink.solvers import multistart
 from optlink.solvers.contract import selectable
 from optlink.solvers.exchange import with_peaks
@@ -255,7 +256,7 @@ class ReoptimiseTask(SweepTask):
             near = (near_design(file, dict(sizes), self.backend) for sizes in self.anchors)
             result: Any = min(near, key=lambda result: (not result.valid, result.objective), default=None)
             if result is None or not result.valid:
-                result = completed(solve(file, self.backend))
+                result = completed(solve(file, self.backend, rounding=NO_GRID))
                 if file.task == "cycle" and not result.valid and result.status is Status.OPTIMAL:
                     again = near_design(file, result.design, self.backend)
                     result = again if again.valid else result
@@ -365,7 +366,7 @@ class ReoptimiseTask(SweepTask):
         high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
         begin = [nlp.lifted(x) for x in itertools.islice(multistart.latin_hypercubes(nlp.x_low, high, SEED), STARTS)]
         if self.starts > 1 and automatic(problem := self.problem.override(self.grid.changes(point))):
-            best = completed(solve(problem, self.backend)).design
+            best = completed(solve(problem, self.backend, rounding=NO_GRID)).design
             if best:  # globally optimal: local searches may all miss a narrow feasible region
                 begin.append(nlp.x_of(best))
         for x in begin:

@@ -18,6 +18,7 @@ from optlink.errors import InputError, Status
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Number, Source
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
+from optlink.problem.rounding import NO_GRID
 from optlink.solvers.solution import Solution
 from optlink.studies.optimum_parameters import (
     CycleParameters,
@@ -248,7 +249,7 @@ def sensitivities(
     if problem.task == "balance":
         remedy = "`optlink balance` lists the shadow prices of its limits"
         raise InputError("a balancing problem has no sensitivities to parameters", remedy, problem.file, "balance")
-    result = completed(solve(problem, backend, starts, seed))
+    result = completed(solve(problem, backend, starts, seed, rounding=NO_GRID))
     solution, file = result.solution, result.definite
     if solution is None or solution.status is not Status.OPTIMAL:
         how = "infeasible" if solution is None else solution.status.value

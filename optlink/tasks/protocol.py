@@ -13,6 +13,7 @@ from optlink.execution import interrupts
 from optlink.execution.worker import Runs
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice, check_range
+from optlink.problem.rounding import NO_GRID
 from optlink.solvers import contract
 from optlink.validation.check import Check
 
@@ -179,7 +180,7 @@ class DesignTask(ABC, Generic[R]):
         """
 
     def grids(self, problem: ProblemFile, rounding: object) -> dict[str, Any]:
-        """Return the grids of sizes to which `rounded` rounds a result; see `optlink.tasks.rounding.read_steps`.
+        """Return the grids of sizes to which `rounded` rounds a result, none without; see `optlink.tasks.rounding.read_steps`.
 
         Parameters
         ----------
@@ -192,6 +193,8 @@ class DesignTask(ABC, Generic[R]):
         InputError
             If it cannot be read, or this kind of problem cannot be rounded.
         """
+        if rounding in (None, NO_GRID):
+            return {}
         raise InputError("the sizes of this kind of problem are not rounded", "Leave it out", problem.file, "--round")
 
     def rounded(self, result: R, grids: Mapping[str, Any], backend: str, progress: Progress) -> R:

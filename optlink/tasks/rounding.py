@@ -10,7 +10,6 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -23,7 +22,8 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import solved_values
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import Unusable, input_of, read_scalar
+from optlink.problem.quantity import Unusable
+from optlink.problem.rounding import ALL, NO_GRID, ON_GRID, Grid, read_grids
 from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS
 from optlink.solvers.exchange import solve_semi_infinite
@@ -33,10 +33,9 @@ from optlink.tasks.protocol import Progress, Timer, part
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.tasks.results.rounding import Influence, Rounding
 from optlink.tasks.search import Polisher
-from optlink.units import factor, show
+from optlink.units import factor
 from optlink.validation import validate
 
-ON_GRID = 1e-7  # share of a step: a size this close to a grid value has it
 FEW = 4  # sizes up to which the whole grid is searched
 WHOLE = 1000  # programmes solved at most on the whole grid
 PER_SIZE = 30  # designs per size near the optimum, where the grid is too large for that
@@ -49,80 +48,29 @@ CORNERS = 4  # sizes up to which all designs beside the optimum are tried first
 LEAST_SHARE = 0.01  # of what a one-sided limit leaves: less influence of half a step is not listed
 
 
-@dataclass(frozen=True)
-class Grid:
-    """Values of a size [SI]: the multiples of `step`, or the `stock` in ascending order."""
-
-    step: float = 0.0
-    stock: tuple[float, ...] = ()
-
-    def below(self, value: float) -> float:
-        """Return the largest value of the grid up to a value; -inf if there is none."""
-        if self.step:
-            return math.floor(value / self.step + ON_GRID) * self.step
-        k = bisect_right(self.stock, value * (1.0 + ON_GRID * math.copysign(1.0, value)))
-        return self.stock[k - 1] if k else -math.inf
-
-    def above(self, value: float) -> float:
-        """Return the least value of the grid from a value on; inf if there is none."""
-        if self.step:
-            return math.ceil(value / self.step - ON_GRID) * self.step
-        k = bisect_left(self.stock, value * (1.0 - ON_GRID * math.copysign(1.0, value)))
-        return self.stock[k] if k < len(self.stock) else math.inf
-
-    def nearest(self, value: float) -> float:
-        """Return the nearest value of the grid."""
-        return min(self.below(value), self.above(value), key=lambda one: abs(one - value))
-
-    def width(self, value: float) -> float:
-        """Return the distance of the two values of the grid about a value, that to the nearest one beyond the last."""
-        gap = self.above(value) - self.below(value)
-        return self.step or (gap if gap < math.inf else abs(self.nearest(value) - value))
-
-    def off(self, value: float) -> float:
-        """Return how far a value is from the grid, as a share of its width there; zero on the grid but for rounding."""
-        gap = abs(self.nearest(value) - value)
-        return gap / self.width(value) if gap > ON_GRID * max(self.step, ON_GRID * abs(value)) else 0.0
-
-    def finer(self, share: float) -> Grid:
-        """Return the grid of steps divided by a number; stock remains."""
-        return Grid(self.step / share, self.stock)
-
-
 def read_steps(problem: ProblemFile, rounding: object) -> dict[str, Grid]:
-    """Return the grid of each free size: of one step for all lengths, or by the name of a size (`""`: of all others).
+    """Return the grid of each free size that is rounded: those of the file if `rounding` is None, else in place of them.
 
-    A list of values is a stock.
+    A text is the step of all lengths, or "none"; a table is as `[rounding]`.
 
     Raises
     ------
     InputError
         If a step is not positive, a size is unknown or not free, or nothing is rounded.
     """
-    quantities, model = problem.model.quantities, problem.spec
-    stated = dict(rounding) if isinstance(rounding, Mapping) else {"": rounding}
-    free = [name for name in model.free if name in model.mechanism.quantities]
-    grids: dict[str, Grid] = {}
-    for name, raw in stated.items():
-        with input_of(problem.file, f"--round {name}".rstrip(), raw):
-            if name and name not in free:
-                what = "is no free size" if name in quantities else "is unknown"
-                raise Unusable(f"{name} {what}", f"Free sizes: {', '.join(free)}")
-            kind, listed = quantities[name].kind if name else "length", isinstance(raw, list | tuple)
-            kind = "length" if kind == "coordinate" and not listed else kind
-            values = [read_scalar(one, kind)[0] for one in _listed(raw)]
-            if not values or (not listed and values[0] <= 0.0):
-                raise Unusable("a step must be positive", 'Give one above zero, for example "0.1 mm"')
-            grid = Grid(stock=tuple(sorted(set(values)))) if listed else Grid(step=values[0])
-            others = [other for other in free if quantities[other].kind in ("length", "coordinate") and other not in stated]
-            grids |= dict.fromkeys([name] if name else others, grid)
+    if rounding in (None, NO_GRID):
+        return problem.spec.grids if rounding is None else {}
+    quantities = problem.model.mechanism.quantities
+    free = [name for name in problem.model.free if name in quantities]
+    stated: Mapping[str, object] = rounding if isinstance(rounding, Mapping) else {ALL: rounding}
+    try:
+        grids = read_grids(stated, quantities, free)
+    except Unusable as error:
+        key = f"--round {error.key}".removesuffix(f" {ALL}")
+        raise InputError(error.message, error.remedy, problem.file, key, error.value) from None
     if not grids:
         raise InputError("no free size is a length", f"Name what to round: {', '.join(free)}", problem.file, "--round")
-    return {name: grids[name] for name in free if name in grids}
-
-
-def _listed(raw: object) -> Sequence[object]:
-    return raw if isinstance(raw, list | tuple) else [raw]
+    return grids
 
 
 @dataclass(order=True)
@@ -438,8 +386,9 @@ def rounded(
     timer.lap("rounding")
     first = searches[0]
     naive = first.tried.get(tuple(next(first.corners())))
+    quantities, sizes = result.problem.model.quantities, built[0].values if built else {}
     record = Rounding(
-        steps={one: _words(result.problem, one, grid) for one, grid in grids.items()},
+        steps={one: grid.words(quantities[one], sizes.get(one, math.nan)) for one, grid in grids.items()},
         optimum=tops[0].values,
         objective=tops[0].objective,
         naive=None if naive is None else naive.objective,
@@ -483,10 +432,3 @@ def rounded_up(value: float) -> str:
     """Return a positive number with two digits, not below it."""
     digits = math.floor(math.log10(value)) - 1
     return f"{math.ceil(value / 10.0**digits) * 10.0**digits:.2g}"
-
-
-def _words(problem: ProblemFile, name: str, grid: Grid) -> str:
-    quantity = problem.model.quantities[name]
-    if grid.step:
-        return show(grid.step, quantity.kind, quantity.unit)
-    return ", ".join(show(value, quantity.kind, quantity.unit) for value in grid.stock)

@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack, cast
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from optlink.tasks.results.design import SynthesisResult
 
 
+IN_FILE = "sizes rounded as [rounding] of the file states; without: --round none"
 MAX_UNKNOWNS = 3  # most design variables of a certificate that is made after an incomplete search
 
 
@@ -86,8 +88,8 @@ def solve(
     proving : function of (completed fraction of the proof, current gap), optional
         Called with the progress of the proof.
     rounding : str or mapping of str to object, optional
-        Sizes that can be made: the step of all free lengths, such as `"0.1 mm"`, or by the name of a size its step or a list of
-        stock sizes, `""` for the step of all others. The designs have such sizes and are validated with them.
+        Sizes that can be made, in place of the section `[rounding]` of the file: the step of all free lengths, such as
+        `"0.1 mm"`, a table like that section, or `"none"`. The designs have such sizes and are validated with them.
     **execution : Execution
         Where long searches and proofs run; if an option is set, short searches too.
 
@@ -127,18 +129,22 @@ def solve(
     result: DesignResult
     shared = any(value not in (None, "local") for value in execution.values())
     check(**execution)
-    grids = None if rounding is None else task.grids(problem, rounding)
-    if certify and grids is not None:
-        raise InputError("a proof is one of sizes that are not rounded", "Leave one of them out", problem.file, "--certify")
+    grids = task.grids(problem, rounding)
+    if certify and grids:
+        remedy = "Leave it out, or solve without rounding"
+        raise InputError("a proof is one of sizes that are not rounded", remedy, problem.file, "--certify")
     with contextlib.ExitStack() as ends:
         runs = ends.enter_context(pool(**execution)) if task.divisible and not alone(**execution) else None
         kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}
         result = task.solve(problem, backend, starts, seed, progress, **kept)
-        proven = certified and certify is not False and not result.interrupted and (certify or grids is None)
+        proven = certified and certify is not False and not result.interrupted and (certify or not grids)
         boxes = 0.0 if not proven else math.inf if certify else _default_boxes(problem, result)
         if boxes:
             result = proof.certify(cast("SynthesisResult", result), gap, time_limit, proving, seed, boxes, problem, runs=runs)
-    return result if grids is None else task.rounded(result, grids, backend, progress)
+    if not grids:
+        return result
+    made: SynthesisResult = task.rounded(result, grids, backend, progress)
+    return replace(made, notes=(*made.notes, IN_FILE)) if rounding is None and made.rounding else made
 
 
 def _default_boxes(problem: ProblemFile, result: Any) -> int:

@@ -11,9 +11,11 @@ import pytest
 
 import optlink
 from optlink.errors import InputError, Status
+from optlink.problem.rounding import Grid
 from optlink.tasks import rounding
-from optlink.tasks.rounding import Grid, read_steps, rounded
+from optlink.tasks.rounding import read_steps, rounded
 from tests.solved import solution
+from tests.tasks.test_element_designs import SWINGING
 
 STEP = 2e-3  # m
 LENGTHS = {"crank": (10, 60), "coupler": (40, 140), "rocker": (40, 140)}  # mm, beside a frame of 100 mm
@@ -155,10 +157,70 @@ def test_a_limit_of_one_side_is_needed_with_the_value_of_the_nearest_design():
 
 def test_stock_sizes():
     stock = ["200 mm", "225 mm", "230 mm", "240 mm"]
-    result = optlink.solve("crank-rocker", certify=False, rounding={"": "1 mm", "rocker": stock})
+    result = optlink.solve("crank-rocker", certify=False, rounding={"step": "1 mm", "rocker": stock})
     assert result.valid
     assert f"{1e3 * result.design['rocker']:.9g} mm" in stock
     assert result.design["coupler"] * 1e3 == pytest.approx(round(result.design["coupler"] * 1e3), abs=1e-9)
+
+
+SECTION = {"rounding": {"step": "1 mm", "rocker": {"step": "5 mm", "from": "2 mm"}}}
+
+
+def test_the_section_of_a_file_rounds_unless_told_otherwise(tmp_path):
+    problem = optlink.load("crank-rocker", SECTION)
+    result = optlink.solve(problem)
+    assert result.valid
+    assert any("[rounding]" in note for note in result.notes)
+    assert (result.design["rocker"] - 2e-3) * 200.0 == pytest.approx(round((result.design["rocker"] - 2e-3) * 200.0), abs=1e-9)
+    assert result.design["coupler"] * 1e3 == pytest.approx(round(result.design["coupler"] * 1e3), abs=1e-9)
+    assert result.rounding.steps == {"coupler": "1 mm", "rocker": "5 mm from 2 mm"}
+    result.write(tmp_path)
+    again = optlink.read_result(tmp_path)
+    assert (again.rounding, again.design, again.notes) == (result.rounding, result.design, result.notes)
+    assert again.problem.hash == problem.hash
+    other = optlink.solve(problem, certify=False, rounding="0.1 mm")
+    assert other.rounding.steps == {"coupler": "0.1 mm", "rocker": "0.1 mm"}
+    assert not any("[rounding]" in note for note in other.notes)
+    whole = optlink.solve(problem, rounding="none")
+    assert whole.rounding is None
+    assert whole.objective < other.objective < result.objective
+    assert whole.certificate is not None  # as of the same file without the section
+
+
+def test_the_section_belongs_to_the_identity_of_a_problem():
+    """The result of `solve` depends on it; the problem without the section keeps its identity."""
+    plain, rounded_ = optlink.load("crank-rocker"), optlink.load("crank-rocker", SECTION)
+    hashes = {plain.hash, rounded_.hash, rounded_.override({"rounding.step": "2 mm"}).hash}
+    assert len(hashes) == 3
+    assert rounded_.override({"rounding": None}).hash == plain.hash
+    assert rounded_.override({"rounding.rocker": None, "rounding.step": None}).hash == plain.hash
+
+
+def test_a_fixed_size_needs_no_grid():
+    problem = optlink.load("crank-rocker", SECTION | {"mechanism.rocker": "232.3 mm"})
+    assert read_steps(problem, None) == {"coupler": Grid(1e-3)}
+    with pytest.raises(InputError, match="rocker is no free size"):
+        read_steps(problem, {"rocker": "1 mm"})
+
+
+def test_coordinates_may_be_nested():
+    nested = {"rounding": {"A": {"x": "25 mm", "y": {"step": "25 mm", "from": "12.5 mm"}}}}
+    problem = optlink.load("press-toggle", nested)
+    assert read_steps(problem, None) == {"A.x": Grid(0.025), "A.y": Grid(0.025, origin=0.0125)}
+    changed = problem.override({"rounding.A.x": None, "rounding.A.y": "50 mm"})
+    assert read_steps(changed, None) == {"A.y": Grid(0.05)}
+
+
+def test_a_ratio_of_gears_has_whole_numbers_of_teeth():
+    problem = optlink.read(SWINGING).override({"rounding.mesh.ratio": {"teeth": [17, 40]}})
+    best = optlink.solve(problem, rounding="none").design["mesh.ratio"]
+    ratios = [one / other for one in range(17, 41) for other in range(17, 41)]
+    result = optlink.solve(problem)
+    assert result.valid
+    assert result.design["mesh.ratio"] == pytest.approx(-min(each for each in ratios if each >= -best), rel=1e-12)
+    one, other = (int(each) for each in result.rounding.steps["mesh.ratio"].partition(" ")[0].split(":"))
+    assert -one / other == pytest.approx(result.design["mesh.ratio"], rel=1e-12)
+    assert 17 <= min(one, other) <= max(one, other) <= 40
 
 
 def test_grids():
@@ -170,13 +232,36 @@ def test_grids():
     assert (step.off(0.0125), step.off(0.013), stock.off(0.2)) == pytest.approx((0.5, 0.0, 0.0))
 
 
+SECTIONS_REFUSED = [
+    ({"foo": "1 mm"}, "rounding.foo.*no such size"),
+    ({"step": ["1 mm"]}, "rounding.step.*a single step is needed"),
+    ({"step": "0 mm"}, "rounding.step.*must be positive"),
+    ({"rocker": {"from": "1 mm"}}, "rounding.rocker.*a grid is a step"),
+    ({"rocker": {"step": "1 mm", "pitch": "1 mm"}}, "rounding.rocker.pitch.*unknown key"),
+    ({"rocker": {"teeth": [12, 60]}}, "rounding.rocker.teeth.*only the ratio of two gears has teeth"),
+    ("1 mm", "rounding.*expected a table"),
+]
+
+
+@pytest.mark.parametrize(("section", "message"), SECTIONS_REFUSED)
+def test_what_a_section_cannot_state(section, message):
+    with pytest.raises(InputError, match=message):
+        optlink.load("crank-rocker", {"rounding": section})
+
+
+@pytest.mark.parametrize("teeth", [[60, 12], [0, 12], [12.0, 60.0], [12], [12, 4000]])
+def test_numbers_of_teeth_are_two_whole_ones(teeth):
+    with pytest.raises(InputError, match=r"rounding.mesh.ratio.teeth.*two whole numbers"):
+        optlink.read(SWINGING).override({"rounding.mesh.ratio": {"teeth": teeth}})
+
+
 REFUSED = [
     ("0 mm", "a length must be positive"),
     ({"rocker": ["-5 mm"]}, "a length must be positive"),
     ("1 kg", "not a unit of length"),
     ({"frame": "1 mm"}, "frame is no free size"),
-    ({"foo": "1 mm"}, "foo is unknown"),
-    ({"rocker": []}, "a step must be positive"),
+    ({"foo": "1 mm"}, "no such size"),
+    ({"rocker": []}, "the stock has no size"),
 ]
 
 
@@ -194,7 +279,7 @@ def test_a_mirrored_linkage_has_the_mirrored_sizes(monkeypatch):
     for bounds in (["1 mm", "50 mm"], ["-50 mm", "-1 mm"]):
         changes = {"requirement.stroke": "100 mm +- 2 mm", "requirement.time_ratio": "1.2 +- 0.05"}
         problem = optlink.load("stroke-slider-crank", {**changes, "mechanism.guides.G.offset": {"bounds": bounds}})
-        results.append(optlink.solve(problem, rounding={"": "5 mm", "G.offset": "50 mm"}))
+        results.append(optlink.solve(problem, rounding={"step": "5 mm", "G.offset": "50 mm"}))
     above, below = results
     assert above.valid
     assert below.valid

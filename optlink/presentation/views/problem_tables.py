@@ -55,6 +55,8 @@ def _demands(model: DesignProblem) -> Iterator[TableSpec]:
         yield _section("limits", model.limits, over, leave_out=_inapplicable(model, "limits"))
     if model.goals or model.bounds:
         yield _terms(model)
+    if model.grids:
+        yield table("[rounding]", "<<", [(name, grid.words(model.quantities[name])) for name, grid in model.grids.items()])
 
 
 def _inapplicable(model: DesignProblem, section: str) -> set[str]:

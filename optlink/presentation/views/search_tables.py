@@ -316,6 +316,7 @@ def search_summary(
         opposed or priced,
         None if proof is None else certificate_table(proof, model.shown_objective, outcome.seconds),
         None if outcome.rounding is None else _rounded_sizes(outcome, outcome.rounding, best.values),
+        None if outcome.rounding is None else _influences(outcome.rounding),
         checked,
         *others,
         backends(outcome) if len(outcome.backends) > 1 else None,
@@ -328,40 +329,30 @@ def search_summary(
 
 
 def _rounded_sizes(outcome: SynthesisResult, rounding: Rounding, values: Mapping[str, float]) -> TableSpec:
-    """Tabulate the rounded sizes beside those of the optimum, with the limit that half a step of each changes most."""
+    """Tabulate the rounded sizes beside those of the optimum."""
+    model = outcome.problem.model
     rows: list[Row] = []
     for name, step in rounding.steps.items():
-        factor, unit = outcome.problem.model.display(name)
-        row: Row = (name, dimension(rounding.optimum[name] * factor), strong(dimension(values[name] * factor)), unit, step)
-        found = {one.one_sided: one for one in reversed(rounding.influences) if one.size == name}
-        changes = [(one.limit, _influence(one)) for _, one in sorted(found.items())] or [("", "")] * bool(rounding.influences)
-        rows += [(*row, *changes[0]), *(("", "", "", "", "", *more) for more in changes[1:])] if changes else [row]
-    model = outcome.problem.model
+        factor, unit = model.display(name)
+        rows.append((name, dimension(rounding.optimum[name] * factor), strong(dimension(values[name] * factor)), unit, step))
     naive = "" if rounding.naive is None else f"{number(model.shown_objective(rounding.naive).value, 6)}, "
     nearest = f"nearest sizes: {naive}{'valid' if rounding.naive_valid else 'not valid'}"
     before = model.shown_objective(rounding.objective)
     notes = (quiet(f"optimum without rounding: {number(before.value, 6)} {before.unit}".rstrip()), quiet(nearest))
-    heads = [
-        "",
-        ">optimum",
-        ">rounded",
-        "",
-        "step",
-        *(["changes most", "by half a step"] if rounding.influences else []),
+    return replace(table("Rounding", ["", ">optimum", ">rounded", "", "grid"], rows), notes=notes)
+
+
+def _influences(rounding: Rounding) -> TableSpec | None:
+    """Tabulate for each limit the size that changes it most by half a step, and what the limit admits."""
+    largest: dict[str, Influence] = {}
+    for one in rounding.influences:  # the largest shares first
+        if one.limit not in largest or one.change > largest[one.limit].change:
+            largest[one.limit] = one
+    rows = [
+        (limit, one.size, number(one.change, 3), one.unit, f"{'' if one.one_sided else '+- '}{number(one.room, 3)}")
+        for limit, one in largest.items()
     ]
-    return replace(table("Rounding", heads, rows), notes=notes)
-
-
-def _influence(one: Influence) -> str:
-    """Return what half a step changes a limit by, and how much of that the limit admits."""
-    change = f"{number(one.change, 3)} {one.unit}".rstrip()
-    if not one.one_sided:
-        return f"{change}, tolerance +- {number(one.room, 3)}"
-    return (
-        f"{change}, {number(one.room, 3)} left at the optimum"
-        if one.room > one.change * 1e-3
-        else f"{change}, none left at the optimum"
-    )
+    return table("What half a step changes most", ["limit", "size", ">changes it by", "", ">it admits"], rows) if rows else None
 
 
 def reached(outcome: SynthesisResult, evidence: Evidence) -> str:

@@ -23,6 +23,7 @@ from optlink.errors import InputError, Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.programme import angle_name, build
 from optlink.problem.file import ProblemFile
+from optlink.problem.rounding import NO_GRID
 from optlink.solvers.exchange import place_at_peaks
 from optlink.solvers.infeasibility import tightest
 from optlink.studies.fronts.design_objectives import (
@@ -208,7 +209,7 @@ class _DesignRanges(EpsilonRanges):
 
     def _optimum(self, problem: ProblemFile) -> Any:
         """Return the optimum that `optlink.solve` finds, certified if there are few design variables."""
-        return completed(solve(problem, self.backend))
+        return completed(solve(problem, self.backend, rounding=NO_GRID))
 
     def _bounded(self, problem: ProblemFile, bounds: Mapping[int, Raw], minimised: int | None = None) -> ProblemFile:
         return design_problem(problem, self.objectives, self.first if minimised is None else minimised, bounds)

@@ -19,6 +19,7 @@ from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build
 from optlink.problem.document import Number, Source
 from optlink.problem.file import ProblemFile
+from optlink.problem.rounding import NO_GRID
 from optlink.problem.tolerances import MAX_SIGMAS, NORMAL, WORST, Deviation
 from optlink.studies.tolerances.monte_carlo import largest_errors, linear_analysis, monte_carlo
 from optlink.studies.tolerances.nominal import nominal_design
@@ -115,7 +116,7 @@ class RobustSearch:
     def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str) -> None:
         check_targets(problem)
         entries = {name: tolerance.raw for name, tolerance in read_tolerances(problem, tolerances, shape).items()}
-        first: Any = completed(solve_nominal(problem.override({"requirement.robust": None})))
+        first: Any = completed(solve_nominal(problem.override({"requirement.robust": None}), rounding=NO_GRID))
         if not first.valid:
             raise InputError("no valid design was found to start from", "See `optlink solve`", problem.file)
         self.nominal = first.design

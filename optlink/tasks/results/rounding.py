@@ -72,5 +72,6 @@ class Rounding:
             return f"no valid design was found on a grid of {self.text}" + (f"; {', or '.join(ways)}" if ways else "")
         found = "the whole grid was searched" if self.whole else "the grid was searched near the optimum, not all of it"
         share = self.loss(objective)
-        lost = f"{percent(share, signed=True)} by rounding" if math.isfinite(share) else "exact without rounding"
+        digits = min(max(1 - math.floor(math.log10(abs(100.0 * share))), 0), 4) if share and math.isfinite(share) else 0
+        lost = f"{percent(share, digits, signed=True)} by rounding" if math.isfinite(share) else "exact without rounding"
         return f"grid of {self.text}, valid as built; {found}; {lost}"
