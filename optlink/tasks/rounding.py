@@ -323,7 +323,7 @@ class _Search:
         return self.best is not None and objective >= self.best.objective - SAME_OBJECTIVE * abs(self.best.objective)
 
     def table(self) -> list[Influence]:
-        """Return what half a step of each size changes at most, of the limits with two sides; ends of strokes follow it."""
+        """Return what half a step of each size changes of the limits, and what these admit; ends of strokes follow it."""
         nlp, sizes, found = self.nlp, self.sizes(self.top), dict[tuple[str, str], Influence]()
         here, count = nlp.at(self.top.x, self.top.p), nlp.first_level - nlp.first_event
         events = np.array([row.limit in nlp.states for row in nlp.rows], dtype=bool)
@@ -338,7 +338,9 @@ class _Search:
                 if row.limit in nlp.helpers or row.limit in nlp.states or not math.isfinite(slope):
                     continue
                 two, size = math.isfinite(row.low) and math.isfinite(row.high), abs(row.scale.slope(float(value)))
-                away = 0.5 * (row.high - row.low) if two else min(value - row.low, row.high - value)
+                width, side = 0.5 * (row.high - row.low), min(value - row.low, row.high - value)
+                two = two and abs(slope) * half > LEAST_SHARE * width  # of a wide range the nearer side counts
+                away = width if two else side
                 change, room = float(abs(slope) * half * size), float(away * size) if away > FEASIBLE else 0.0
                 key = name, row.label or row.limit
                 made = Influence(*key, change, room, row.scale.unit, one_sided=not two)
