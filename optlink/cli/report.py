@@ -66,7 +66,7 @@ def export(
         Path,
         option(
             "FILE",
-            "File to write; its suffix selects the format: .dxf, .svg, .stl, .3mf, .csv, .json or .xml (MuJoCo).",
+            "File to write; its suffix selects the format: .dxf, .svg, .pdf, .stl, .3mf, .csv, .json or .xml (MuJoCo).",
             "-o",
             "--out",
         ),
@@ -75,7 +75,8 @@ def export(
         str | None,
         option(
             "WORD",
-            "What to write: drawing (.dxf and .svg), parts to cut (.dxf, .svg) or to print (.stl, .3mf), assembly (.stl, .3mf).",
+            "What to write: drawing (.dxf, .svg), parts to cut (.dxf, .svg) or print (.stl, .3mf), assembly (.stl, .3mf), "
+            "sheet for the workshop (.pdf, .dxf).",
             "--content",
         ),
     ] = None,
@@ -99,7 +100,7 @@ def export(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Export a design: drawing, parts to cut or print, motion, geometry, a model of MuJoCo."""
+    """Export a design: drawing, parts to cut or print, workshop sheets, motion, geometry, a model of MuJoCo."""
     from optlink.presentation.export.export import FORMATS, Options, export as write
     from optlink.presentation.files import check_target
 

@@ -12,6 +12,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     GetCoreSchemaHandler,
     ValidationInfo,
 )
@@ -208,3 +209,5 @@ def _read_name(raw: object) -> str:
 
 Name = Annotated[str, BeforeValidator(_read_name)]
 """Of a body, a point, a guide or a load."""
+Fact = Annotated[str, Field(max_length=200)]
+"""A text for people, without effect on the result."""

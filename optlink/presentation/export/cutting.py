@@ -10,7 +10,7 @@ import numpy as np
 from optlink.linkage.vector2d import Array
 from optlink.presentation.export.dxf import Vertex
 from optlink.presentation.parts.layout import Placed, engraved, laid_out
-from optlink.presentation.parts.model import Opening, PartSet
+from optlink.presentation.parts.model import PartSet
 
 CUT, ENGRAVE = "CUT", "ENGRAVE"
 LOOKS = {CUT: ("#ff0000", 1), ENGRAVE: ("#0000ff", 5)}
@@ -34,7 +34,7 @@ def cutting_dxf(parts: PartSet, title: str, path: Path) -> None:
     for one in laid_out(parts.parts.values()).parts:
         space.add_lwpolyline(_moved(one.part.outline, one.shift), format="xyb", close=True, dxfattribs=cut)
         for opening in one.part.openings:
-            if _round(opening):
+            if opening.round:
                 space.add_circle(tuple(opening.ends[0] + one.shift), 0.5 * opening.diameter, dxfattribs=cut)
             else:
                 space.add_lwpolyline(_moved(opening.outline, one.shift), format="xyb", close=True, dxfattribs=cut)
@@ -59,7 +59,7 @@ def cutting_svg(parts: PartSet, title: str, path: Path) -> None:
         for opening in one.part.openings:
             x, y = opening.ends[0] + one.shift
             circle = f'<circle cx="{_number(x)}" cy="{_number(-y)}" r="{_number(0.5 * opening.diameter)}"/>'
-            cut.append(circle if _round(opening) else f'<path d="{_path(_moved(opening.outline, one.shift))}"/>')
+            cut.append(circle if opening.round else f'<path d="{_path(_moved(opening.outline, one.shift))}"/>')
         cut.append("</g>")
         for (x, y), (u, v) in _crosses(one):
             mark.append(f'<path d="M{_number(x)} {_number(-y)} L{_number(u)} {_number(-v)}"/>')
@@ -85,10 +85,6 @@ WRITERS: dict[str, Callable[[PartSet, str, Path], None]] = {".dxf": cutting_dxf,
 
 def _moved(outline: Sequence[Vertex], shift: Array) -> list[Vertex]:
     return [(x + float(shift[0]), y + float(shift[1]), bulge) for x, y, bulge in outline]
-
-
-def _round(opening: Opening) -> bool:
-    return len(opening.outline) == 2
 
 
 def _crosses(one: Placed) -> list[tuple[Array, Array]]:

@@ -1,4 +1,4 @@
-"""Export of a design: drawings at a crank angle, parts to cut or print, motion as CSV, geometry as JSON, a model of MuJoCo."""
+"""Export of a design: drawings at a crank angle, parts to cut or print and their sheets, motion, geometry, a model of MuJoCo."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -183,6 +183,23 @@ def _assembly(model: ReportModel, cycle: Analysis, path: Path, options: Options)
         WRITERS[path.suffix.lower()](solids, model.problem.model.title, temporary)
 
 
+def _sheet(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    """Write the workshop sheets; those of a design that is not valid say so in their title."""
+    from optlink.presentation.export.workshop import WRITERS
+    from optlink.presentation.html.shell import letterhead
+    from optlink.presentation.parts.model import part_set
+    from optlink.presentation.parts.sheet import sheets
+
+    at = place_of(cycle, options.at)
+    problem = model.problem.model
+    head = {"title": problem.title, **letterhead(model.problem)}
+    head["title"] = head["title"] if model.valid else f"NOT VALID: {head['title']}"
+    position = sweep(cycle.machine.mechanism, cycle.machine.sizes, [at])
+    drawn = sheets(part_set(cycle, options.hole, options.width), cycle, position, f"assembly, {problem.driving.text(at)}", head)
+    with whole(path) as temporary:
+        WRITERS[path.suffix.lower()](drawn, head["title"], temporary)
+
+
 def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
     """Return the linkage as a JSON document [SI]: points of the bodies in their own axes, and all positions at a crank angle."""
     from optlink.presentation.export.dxf import travelled
@@ -237,8 +254,9 @@ def _mjcf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> 
 
 Writer = Callable[[ReportModel, Analysis, Path, Options], None]
 FORMATS: dict[str, dict[str, Writer]] = {
-    ".dxf": {"drawing": _dxf, "parts": _cutting},
+    ".dxf": {"drawing": _dxf, "parts": _cutting, "sheet": _sheet},
     ".svg": {"drawing": _svg, "parts": _cutting},
+    ".pdf": {"sheet": _sheet},
     ".stl": {"parts": _printing, "assembly": _assembly},
     ".3mf": {"parts": _printing, "assembly": _assembly},
     ".csv": {"motion": _csv},

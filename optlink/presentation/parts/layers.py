@@ -48,7 +48,7 @@ class Stack:
     def __init__(self, parts: PartSet) -> None:
         self.parts, self.motion = parts, parts.motion
         self.links = [name for name in parts.parts if name != FRAME]
-        self.cores = {name: placed(self.motion, name, _corners(part)) for name, part in parts.parts.items()}
+        self.cores = {name: placed(self.motion, name, convex(part)) for name, part in parts.parts.items()}
         self.places = {pin.name: placed(self.motion, pin.on, pin.at[None]) for pin in parts.pins}
         self.gaps: dict[tuple[str, str], Gap] = {}
         self.slack = CLEARANCE * min(one.diameter for part in parts.parts.values() for one in part.openings)
@@ -162,7 +162,7 @@ def stacked(parts: PartSet) -> Stacked:
     return Stacked(parts, Stack(parts).layers())
 
 
-def _corners(part: FlatPart) -> Array:
+def convex(part: FlatPart) -> Array:
     """Return the corners (n, 2) of the convex hull of a part's core, counter-clockwise; two of a straight one, one of a disc."""
     points = np.unique(np.round(part.core, 9), axis=0)
     if len(points) < 3:

@@ -36,6 +36,12 @@ class Opening:
     joint: str
     ends: Array
     diameter: float
+    fit: str = ""
+
+    @property
+    def round(self) -> bool:
+        """Whether it is a hole."""
+        return len(self.outline) == 2
 
     @property
     def outline(self) -> tuple[Vertex, ...]:
@@ -52,6 +58,7 @@ class FlatPart:
     marks: Mapping[str, Array]
     width: float
     thickness: float
+    material: str = ""
 
     @cached_property
     def core(self) -> Array:
@@ -200,7 +207,11 @@ class _Maker:
         return hole, pin
 
     def _hole(self, name: str, at: Array) -> Opening:
-        return Opening(name, np.array([at, at]), self._of_joint(name)[0])
+        return self._opening(name, np.array([at, at]))
+
+    def _opening(self, name: str, ends: Array) -> Opening:
+        own = self.section.joints.get(name)
+        return Opening(name, ends, self._of_joint(name)[0], (own and own.fit) or self.section.fit)
 
     def _pin(self, name: str, on: str, at: Array, parts: list[str]) -> Pin:
         diameter = self._of_joint(name)[1]
@@ -225,7 +236,7 @@ class _Maker:
             ends = place + MM * (np.array([[low], [high]]) - slides[k]) * way
         else:
             ends += np.array([[-1.0], [1.0]]) * self._width(other) * direction
-        return Opening(name, ends, self._of_joint(name)[0])
+        return self._opening(name, ends)
 
     def _ends(self, guide: Guide) -> Array:
         """Return the places (2, 2) of the two pins of a sliding body."""
@@ -240,7 +251,8 @@ class _Maker:
         own, width = self.section.links.get(body), self._width(body)
         free = {} if body == FRAME else self.points[body]
         marks = {name: at for name, at in free.items() if name not in self.mechanism.pins}
-        part = FlatPart(body, openings, marks, width, self._size(own.thickness if own else None, self.thickness))
+        thickness = self._size(own.thickness if own else None, self.thickness)
+        part = FlatPart(body, openings, marks, width, thickness, (own and own.material) or self.section.material)
         widest = max(openings, key=lambda one: one.diameter)
         if width <= widest.diameter:
             message = f"{body} is not wider than its hole at {widest.joint}, which measures {widest.diameter:.6g} mm"

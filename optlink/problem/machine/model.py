@@ -17,7 +17,7 @@ from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.stroke import Direction
 from optlink.linkage.vector2d import Array, Value
-from optlink.problem.base_model import RESERVED, Name, Section, in_folder
+from optlink.problem.base_model import RESERVED, Fact, Name, Section, in_folder
 from optlink.problem.driving import Driving, check_same_drive, driven
 from optlink.problem.linked import Link, check_linked, links_of
 from optlink.problem.machine.balance import BalanceSection
@@ -85,9 +85,6 @@ class Expected(Section):
     """Figures of the analysis of the machine without clearance, by name, plain numbers in SI units."""
     figure_tolerance: Number = 1e-6
     """Relative tolerance of the figures."""
-
-
-Fact = Annotated[str, Field(max_length=200)]
 
 
 class ReportSection(Section):

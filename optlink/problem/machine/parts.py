@@ -3,7 +3,7 @@
 from pydantic import Field
 
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.problem.base_model import Name, Section
+from optlink.problem.base_model import Fact, Name, Section
 from optlink.problem.quantity import FixedLength, check_name
 
 
@@ -14,6 +14,8 @@ class LinkPart(Section):
     """Width of this link."""
     thickness: FixedLength | None = None
     """Thickness of this link."""
+    material: Fact = ""
+    """Material of this link, on the workshop sheet."""
 
 
 class JointPart(Section):
@@ -23,6 +25,8 @@ class JointPart(Section):
     """Diameter of the holes of this joint."""
     pin: FixedLength | None = None
     """Diameter of the pin of this joint, at most that of its holes."""
+    fit: Fact = ""
+    """Tolerance class of the holes of this joint, on the workshop sheet: `"H7"`."""
 
 
 class PartsSection(LinkPart, JointPart):
@@ -36,6 +40,10 @@ class PartsSection(LinkPart, JointPart):
     """Diameter of the holes; default: about 3 % of the extent, at most half of the least distance of two holes of a link."""
     pin: FixedLength | None = None
     """Diameter of the pins; default: that of the holes."""
+    material: Fact = ""
+    """Material of the links, on the workshop sheet."""
+    fit: Fact = ""
+    """Tolerance class of the holes, on the workshop sheet: `"H7"`."""
     head: FixedLength | None = None
     """Diameter of the heads at both ends of a pin, that of the pin for one without heads; default: 1.6 times that of the pin."""
     spacer: FixedLength | None = None

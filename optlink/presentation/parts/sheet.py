@@ -1,0 +1,360 @@
+"""Sheets for the workshop: the assembly with its parts list, and every part with its dimensions, at standard scales."""
+
+import functools
+import itertools
+import math
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from optlink.errors import InputError
+from optlink.linkage.motion import Motion
+from optlink.linkage.vector2d import Array
+from optlink.presentation.export.dxf import Vertex, rounded
+from optlink.presentation.parts.layers import Stacked, convex, stacked
+from optlink.presentation.parts.model import PartSet, distance, placed
+from optlink.presentation.parts.solids import polygon
+from optlink.presentation.parts.view import (
+    FIRST,
+    GAP,
+    SAME,
+    SMALL,
+    Item,
+    Line,
+    Style,
+    Words,
+    box,
+    circle,
+    number,
+    part_view,
+    scale_text,
+    segment,
+    width,
+)
+from optlink.problem.tolerances import CONTACT
+from optlink.tasks.analyze import Analysis
+
+PAPERS = {"A4": np.array([297.0, 210.0]), "A3": np.array([420.0, 297.0])}
+SCALES = tuple(step * 10.0**power for power in (1, 0, -1, -2, -3, -4) for step in (5.0, 2.0, 1.0))
+LOW, HIGH = np.array([20.0, 10.0]), np.array([10.0, 10.0])  # margins of the border: left and bottom, right and top
+ROOM = 5.0  # between border, views and tables
+SMALLEST = 3.0  # diameter of a hole on paper below which its part is enlarged
+LABEL = 1.8  # height of the letters that name a cell
+TOLERANCE = "ISO 2768-m"
+ROW = 6.0  # height of a row of the parts list
+COLUMNS = {"Pos.": 13.0, "Qty": 12.0, "Name": 50.0, "Size": 65.0, "Material": 40.0}
+BLOCK = (
+    (9.0, {"general tolerance": 60.0, "unit": 25.0, "scale": 35.0, "paper": 25.0, "sheet": 35.0}),
+    (9.0, {"part": 60.0, "revision": 25.0, "author": 60.0, "date": 35.0}),
+    (14.0, {"company": 60.0, "title": 120.0}),
+)
+"""Rows of the title block from below: height, and widths by label."""
+BALLOON = 4.5  # radius
+STEP = 0.5  # distance of the points at which the edges of an assembly are hidden or not
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A drawing of a paper size [mm]."""
+
+    size: Array
+    items: tuple[Item, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What is drawn at a scale: `factor` millimetres on paper for one of the parts."""
+
+    factor: float
+    items: tuple[Item, ...]
+
+    @functools.cached_property
+    def box(self) -> Array:
+        """Its lower left and upper right corner (2, 2)."""
+        return box(self.items)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row of the parts list; `members` are the parts or pins that are such."""
+
+    name: str
+    size: str
+    material: str
+    members: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Thing:
+    """A part or pin of an assembly [mm on paper]: the distance `reach` from its core, and its edges; `level` grows upwards."""
+
+    level: float
+    core: Array
+    reach: float
+    edges: tuple[tuple[Vertex, ...], ...]
+
+    def hides(self, points: Array) -> Array:
+        """Return whether points (n, 2) lie within it."""
+        core = np.broadcast_to(self.core, (len(points), *self.core.shape))
+        return np.asarray(distance(points[:, None], core) < self.reach - SAME)
+
+
+@dataclass(eq=False)
+class _Row:
+    """Views beside each other on a page, and where the next one begins."""
+
+    page: int
+    top: float
+    bottom: float
+    x: float
+
+
+def sheets(parts: PartSet, cycle: Analysis, at: Motion, caption: str, head: Mapping[str, str]) -> list[Sheet]:
+    """Return the sheets of parts: the assembly at the only position of `at` with a caption, then the parts by their scales.
+
+    `head`: facts of the title block by name: title, company, author, part, revision, date.
+
+    Raises
+    ------
+    InputError
+        If a part has more dimensions than a sheet has room for.
+    """
+    try:
+        layers: Stacked | None = stacked(parts)
+    except InputError:  # the parts can be drawn; their order in the assembly and the lengths of the pins remain open
+        layers = None
+    entries = [*_entries(parts, layers)]
+    assembly = functools.partial(_assembly, parts, layers, entries, at, caption)
+    least = min(one.diameter for part in parts.parts.values() for one in part.openings)
+    first, paper = _fitting(
+        assembly, least, lambda paper: (_above(paper, len(entries) + 1), _beside(paper)), "the assembly", parts.file
+    )
+    pages = [(paper, [View(first.factor, moved(_parts_list(entries), _corner(paper))), first])]
+    tolerances, views, large = dict(_tolerances(cycle)), list[View](), 0
+    for k, (entry, part) in enumerate(zip(entries, parts.parts.values(), strict=False), 1):
+        remark = "   ".join(filter(None, (entry.size, entry.material)))
+        draw = functools.partial(part_view, part, f"{k}  {part.name}", remark, tolerances)
+        least = min(one.diameter for one in part.openings)
+        view, paper = _fitting(draw, least, lambda paper: (_above(paper),), part.name, parts.file)
+        views.append(view)
+        large = max(large, [*PAPERS].index(paper))
+    tried = [(paper, _pages(paper, views)) for paper in [*PAPERS][large:]]
+    paper, sides = min(tried, key=lambda one: len(one[1]))
+    pages += [(paper, side) for side in sides]
+    made = []
+    for k, (paper, page) in enumerate(pages, 1):
+        drawn = itertools.chain.from_iterable(view.items for view in page)
+        made.append(Sheet(PAPERS[paper], (*drawn, *_frame(paper, page, f"{k} / {len(pages)}", head))))
+    return made
+
+
+def moved(items: Iterable[Item], shift: Array) -> tuple[Item, ...]:
+    """Return what is drawn, shifted by a vector (2,)."""
+    return tuple(item.moved(shift) for item in items)
+
+
+def _tolerances(cycle: Analysis) -> Iterator[tuple[frozenset[str], str]]:
+    """Yield the tolerances of link lengths that the problem states, by the joints at their ends."""
+    for link, one in itertools.product(cycle.machine.mechanism.links, cycle.problem.model.deviations):
+        if one.size == link.length and one.shape != CONTACT and not one.values:
+            yield frozenset((link.start, link.end)), f" ±{number(1e3 * one.tolerance)}"
+
+
+def _entries(parts: PartSet, layers: Stacked | None) -> Iterator[Entry]:
+    """Yield the rows of the parts list: every part, and pins of one size together."""
+    for name, part in parts.parts.items():
+        yield Entry(name, f"t = {number(part.thickness)}", part.material, (name,))
+    groups: dict[str, list[str]] = {}
+    for pin in parts.pins:
+        low, high = layers.span(pin) if layers else (0.0, 0.0)
+        length = f" × {number(high - low)}" if layers else ""
+        head = f", heads Ø{number(pin.head)}" if pin.height else ""
+        groups.setdefault(f"Ø{number(pin.diameter)}{length}{head}", []).append(pin.name)
+    for size, names in groups.items():
+        yield Entry(f"pin {', '.join(names)}", size, "", tuple(names))
+
+
+# --- the assembly ------------------------------------------------------------------------------------------------------------
+
+
+def _assembly(
+    parts: PartSet, layers: Stacked | None, entries: Sequence[Entry], at: Motion, caption: str, factor: float
+) -> tuple[Item, ...]:
+    """Draw the visible edges of parts and pins, with balloons."""
+    levels = layers.layers if layers else {name: k for k, name in enumerate(parts.parts)}
+    things: dict[str, _Thing] = {}
+    for name, part in parts.parts.items():
+        core, reach = factor * placed(at, name, convex(part))[0], 0.5 * factor * part.width
+        holes = [rounded(factor * placed(at, name, one.ends)[0], 0.5 * factor * one.diameter) for one in part.openings]
+        things[name] = _Thing(levels[name], core, reach, (rounded(core, reach), *holes))
+    for pin in parts.pins:
+        core, reach = factor * placed(at, pin.on, pin.at[None])[0], 0.5 * factor * pin.head
+        level = max(levels[name] for name in pin.parts) + 0.5
+        things[f"pin {pin.name}"] = _Thing(level, core, reach, (rounded(core, reach),))
+    items: list[Item] = []
+    for thing in things.values():
+        above = [other for other in things.values() if other.level > thing.level]
+        items += [line for edge in thing.edges for line in _visible(edge, above)]
+    targets = [_target(things.get(one.members[0]) or things[f"pin {one.members[0]}"], [*things.values()]) for one in entries]
+    items += _balloons(np.array(targets), box(items))
+    low = box(items)[0]
+    return *items, Words(caption, low - [0.0, FIRST], align="left")
+
+
+def _visible(edge: tuple[Vertex, ...], above: Iterable[_Thing]) -> Iterator[Line]:
+    """Yield the pieces of a closed edge that nothing above hides."""
+    corners = polygon(edge)
+    ends = np.concatenate([corners, corners[:1]])
+    pieces = [
+        np.linspace(a, b, max(1, math.ceil(np.linalg.norm(b - a) / STEP)), endpoint=False) for a, b in itertools.pairwise(ends)
+    ]
+    points = np.concatenate([*pieces, ends[-1:]])
+    hidden = np.any([thing.hides(points) for thing in above] or [np.zeros(len(points), dtype=bool)], axis=0)
+    if not hidden.any():
+        yield Line(edge, "outline", closed=True)
+        return
+    for run in np.split(np.arange(len(points)), np.flatnonzero(np.diff(hidden)) + 1):
+        if not hidden[run[0]] and len(run) > 1:
+            yield replace(segment(*points[run]), style="outline")
+
+
+def _target(thing: _Thing, things: Sequence[_Thing]) -> Array:
+    """Return the place of a part or pin at which a balloon points: along its core or beside it, hidden by nothing."""
+    core, shares = thing.core, np.array([[0.5], [0.4], [0.6], [0.3], [0.7], [0.2], [0.8]])
+    begin, end = max(itertools.product(core, core), key=lambda pair: float(np.linalg.norm(pair[1] - pair[0])))
+    around = thing.reach * np.array([[0.0, 0.8], [0.0, -0.8], [-0.8, 0.0], [0.8, 0.0]])
+    places = np.concatenate([core.mean(axis=0)[None], begin + shares * (end - begin), *(corner + around for corner in core)])
+    hidden = np.any([other.hides(places) for other in things if other.level > thing.level] or [np.zeros(len(places))], axis=0)
+    return np.asarray(places[int(np.argmin(hidden))])
+
+
+def _balloons(targets: Array, within: Array) -> Iterator[Item]:
+    """Yield numbers in circles above and below a box, with leaders to their targets (n, 2)."""
+    upper = targets[:, 1] >= np.mean(within[:, 1])
+    for chosen, y in ((upper, within[1, 1] + 3.0 * BALLOON), (~upper, within[0, 1] - 3.0 * BALLOON)):
+        order = np.flatnonzero(chosen)[np.argsort(targets[chosen, 0], kind="stable")]
+        xs = targets[order, 0].copy()
+        for k in range(1, len(xs)):
+            xs[k] = max(xs[k], xs[k - 1] + 3.0 * BALLOON)
+        xs += np.mean(targets[order, 0] - xs) if len(xs) else 0.0
+        for k, x in zip(order, xs, strict=True):
+            middle, tip = np.array([x, y]), targets[k]
+            way = (tip - middle) / np.linalg.norm(tip - middle)
+            yield segment(middle + BALLOON * way, tip)
+            yield circle(tip, 0.7, "solid")
+            yield circle(middle, BALLOON)
+            yield Words(str(k + 1), middle)
+
+
+# --- tables and layout -------------------------------------------------------------------------------------------------------
+
+
+def _parts_list(entries: Sequence[Entry]) -> Iterator[Item]:
+    """Yield the parts list from its lower left corner upwards; without a column of materials if none is stated."""
+    columns = {name: wide for name, wide in COLUMNS.items() if name != "Material" or any(one.material for one in entries)}
+    columns["Size"] += sum(COLUMNS.values()) - sum(columns.values())
+    facts = [(str(k), str(len(one.members)), one.name, one.size, one.material) for k, one in enumerate(entries, 1)]
+    for k, row in enumerate([tuple(columns), *facts]):
+        x = 0.0
+        for wide, text in zip(columns.values(), row, strict=False):
+            yield from _cell("", text, np.array([x, k * ROW]), np.array([wide, ROW]))
+            x += wide
+
+
+def _frame(paper: str, page: Sequence[View], count: str, head: Mapping[str, str]) -> Iterator[Item]:
+    """Yield border and title block."""
+    scale = ", ".join(map(scale_text, sorted({view.factor for view in page})))
+    yield _rectangle(LOW, PAPERS[paper] - LOW - HIGH)
+    y = LOW[1]
+    for high, row in BLOCK:
+        x = _corner(paper)[0]
+        for label, wide in row.items():
+            facts = {"general tolerance": TOLERANCE, "unit": "mm", "scale": scale, "paper": paper, "sheet": count, **head}
+            yield from _cell(label, facts.get(label, ""), np.array([x, y]), np.array([wide, high]))
+            x += wide
+        y += high
+
+
+def _rectangle(low: Array, size: Array, style: Style = "outline") -> Line:
+    corners = low + np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * size
+    return replace(segment(*corners), style=style, closed=True)
+
+
+def _cell(label: str, text: str, low: Array, size: Array) -> Iterator[Item]:
+    """Yield a cell with its label and its text, in lines of the largest letters that fit; what has no room is an ellipsis."""
+    yield _rectangle(low, size, "thin")
+    room = size - [3.0 * GAP, 3.5 * GAP if label else GAP]
+    if label:
+        yield Words(label, low + np.array([GAP, size[1] - GAP - 0.5 * LABEL]), LABEL, align="left")
+    lines: list[str] = []
+    most, height = 0, LABEL
+    for height in (5.0, 3.5, SMALL, LABEL) if label else (SMALL, LABEL):
+        most = int(room[1] / (1.5 * height))
+        letters = int(room[0] * max(1, len(text)) / max(width(text, height), SAME))
+        lines = textwrap.wrap(text, max(1, letters))
+        if len(lines) <= most:
+            break
+    else:
+        lines = [*lines[: most - 1], lines[most - 1][:-1] + "…"]
+    for k, line in enumerate(reversed(lines)):
+        yield Words(line, low + np.array([1.5 * GAP, 0.5 * GAP + 0.75 * height + 1.5 * height * k]), height, align="left")
+
+
+def _corner(paper: str) -> Array:
+    """Return the upper left corner of the title block."""
+    return np.array([PAPERS[paper][0] - HIGH[0] - sum(BLOCK[0][1].values()), LOW[1] + sum(high for high, _ in BLOCK)])
+
+
+def _above(paper: str, rows: int = 0) -> Array:
+    """Return the free rectangle (2, 2) above the title block with a list of so many rows."""
+    return np.array([[LOW[0] + ROOM, _corner(paper)[1] + rows * ROW + ROOM], PAPERS[paper] - HIGH - ROOM])
+
+
+def _beside(paper: str) -> Array:
+    """Return the free rectangle (2, 2) to the left of the title block."""
+    return np.array([LOW + ROOM, [_corner(paper)[0] - ROOM, PAPERS[paper][1] - HIGH[1] - ROOM]])
+
+
+def _fitting(
+    draw: Callable[[float], tuple[Item, ...]], hole: float, areas: Callable[[str], Iterable[Array]], name: str, file: str
+) -> tuple[View, str]:
+    """Return a view in the middle of a free area, at the largest scale at which it fits, and its paper.
+
+    A view is enlarged only as far as its hole [mm] needs.
+    """
+    largest = min((factor for factor in SCALES if factor >= 1.0 and factor * hole >= SMALLEST), default=SCALES[0])
+    for factor in SCALES[SCALES.index(largest) :]:
+        view = View(factor, draw(factor))
+        low, high = view.box
+        for paper in PAPERS:
+            for begin, end in areas(paper):
+                if np.all(end - begin >= high - low):
+                    return View(factor, moved(view.items, 0.5 * (begin + end - low - high))), paper
+    raise InputError(
+        f"the drawing of {name} does not fit on an A3 sheet", "Write the parts without dimensions: --content parts", file
+    )
+
+
+def _pages(paper: str, views: Iterable[View]) -> list[list[View]]:
+    """Return the views of every sheet: in rows from the top, the deepest first, each in the first place with room."""
+    (left, low), (right, high) = _above(paper)
+    pages: list[list[View]] = []
+    rows: list[_Row] = []
+    for view in sorted(views, key=lambda view: -float(np.ptp(view.box, axis=0)[1])):
+        wide, deep = np.ptp(view.box, axis=0)
+        row = next((row for row in rows if row.x + wide <= right + SAME), None)
+        if row is None:
+            bottoms = {row.page: row.bottom - 2.0 * ROOM for row in rows}
+            page = next((page for page, bottom in bottoms.items() if bottom - deep >= low - SAME), len(pages))
+            top = bottoms.get(page, high)
+            row = _Row(page, top, top - deep, left)
+            rows.append(row)
+            pages += [[]] * (page == len(pages))
+        pages[row.page] = [
+            *pages[row.page],
+            View(view.factor, moved(view.items, np.array([row.x - view.box[0, 0], row.top - view.box[1, 1]]))),
+        ]
+        row.x += wide + 2.0 * ROOM
+    return pages

@@ -1,0 +1,302 @@
+"""Views of parts on paper [mm]: lines, texts and dimensions, drawn alike in every kind of file."""
+
+import itertools
+import math
+import unicodedata
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol, Self
+
+import numpy as np
+
+from optlink.linkage.vector2d import TURN, Array
+from optlink.presentation.export.dxf import Vertex, rounded
+from optlink.presentation.parts.model import FlatPart, Opening
+from optlink.presentation.parts.solids import polygon
+
+TEXT, SMALL = 3.5, 2.5  # heights of letters
+ARROW = 3.0
+GAP = 1.0  # of a text to its line, of an extension line to its hole
+FIRST, ROW = 9.0, 7.5  # distance of the first dimension line from the outline, and of two dimension lines
+LETTER, WIDE_LETTER = 0.9, 1.6  # widths of letters in heights
+CROSS = 2.0  # of a centre line beyond its hole
+SAME = 1e-6  # distance of coincident lines
+SLOPE, FAR = math.radians(60.0), 12.0  # slope of leaders, and how far they go to the side
+Style = Literal["outline", "thin", "centre", "solid"]
+
+
+class Pen(Protocol):
+    """Draws into a file."""
+
+    def line(self, one: "Line") -> None:
+        """Draw a line."""
+
+    def words(self, one: "Words") -> None:
+        """Draw a text."""
+
+    def measure(self, one: "Measure") -> None:
+        """Draw a dimension."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """Straight edges and arcs; a circle is two arcs."""
+
+    vertices: tuple[Vertex, ...]
+    style: Style = "thin"
+    closed: bool = False
+
+    @property
+    def corners(self) -> Array:
+        """Its polygon (n, 2)."""
+        return polygon(self.vertices)
+
+    def draw(self, pen: Pen) -> None:
+        """Draw it by a pen."""
+        pen.line(self)
+
+    def moved(self, shift: Array) -> Self:
+        """Return it shifted by a vector (2,)."""
+        return replace(self, vertices=tuple((x + float(shift[0]), y + float(shift[1]), bulge) for x, y, bulge in self.vertices))
+
+
+@dataclass(frozen=True, eq=False)
+class Words:
+    """A text of one line, turned by an angle [deg] about the middle of its height at its left or right end or its centre."""
+
+    text: str
+    at: Array
+    height: float = TEXT
+    angle: float = 0.0
+    align: Literal["left", "center", "right"] = "center"
+
+    @property
+    def corners(self) -> Array:
+        """The rectangle (4, 2) that it may occupy."""
+        wide, half = width(self.text, self.height), 0.5 * self.height
+        low = {"left": 0.0, "center": -0.5, "right": -1.0}[self.align] * wide
+        high = low + wide
+        c, s = math.cos(math.radians(self.angle)), math.sin(math.radians(self.angle))
+        return np.asarray(
+            self.at + np.array([[low, -half], [high, -half], [high, half], [low, half]]) @ np.array([[c, s], [-s, c]])
+        )
+
+    def draw(self, pen: Pen) -> None:
+        """Draw it by a pen."""
+        pen.words(self)
+
+    def moved(self, shift: Array) -> Self:
+        """Return it shifted by a vector (2,)."""
+        return replace(self, at=self.at + shift)
+
+
+@dataclass(frozen=True, eq=False)
+class Measure:
+    """A dimension between two points (2, 2), along x or, if upright, along y; its line is at `line` of the other axis.
+
+    `factor`: millimetres on paper for one of the part; `tolerance` is added to the text.
+    """
+
+    ends: Array
+    line: float
+    upright: bool
+    factor: float
+    tolerance: str = ""
+
+    @property
+    def text(self) -> str:
+        """The true measure."""
+        begin, end = self.ends[:, int(self.upright)]
+        return number(abs(end - begin) / self.factor) + self.tolerance
+
+    @property
+    def tight(self) -> bool:
+        """Whether text and arrows have no room between the ends."""
+        begin, end = self.ends[:, int(self.upright)]
+        return bool(abs(end - begin) < width(self.text) + 2.0 * ARROW)
+
+    @property
+    def words(self) -> Words:
+        """Its text: above the middle of its line, or beyond the first end of a short one."""
+        begin, end = self.ends[:, int(self.upright)]
+        middle = begin - math.copysign(0.5 * width(self.text) + 2.5 * ARROW, end - begin) if self.tight else 0.5 * (begin + end)
+        beside = 0.5 * TEXT + GAP
+        at = [self.line - beside, middle] if self.upright else [middle, self.line + beside]
+        return Words(self.text, np.array(at), angle=90.0 * self.upright)
+
+    @property
+    def pieces(self) -> tuple[Line | Words, ...]:
+        """What is drawn of it."""
+        feet = self.ends.copy()
+        feet[:, 1 - int(self.upright)] = self.line
+        along = (feet[1] - feet[0]) / max(float(np.linalg.norm(feet[1] - feet[0])), SAME)
+        beyond = np.sign(feet - self.ends) * GAP
+        outward = -1.0 if self.tight else 1.0
+        line = feet + outward * 2.0 * ARROW * np.array([along, -along]) if self.tight else feet
+        tips = (arrow(feet[0], outward * along), arrow(feet[1], -outward * along))
+        extensions = (segment(end, foot + more) for end, foot, more in zip(self.ends, feet, beyond, strict=True))
+        return segment(*line), *tips, *extensions, self.words
+
+    @property
+    def corners(self) -> Array:
+        """Corners (n, 2) of what is drawn."""
+        return np.concatenate([piece.corners for piece in self.pieces])
+
+    def draw(self, pen: Pen) -> None:
+        """Draw it by a pen."""
+        pen.measure(self)
+
+    def moved(self, shift: Array) -> Self:
+        """Return it shifted by a vector (2,)."""
+        return replace(self, ends=self.ends + shift, line=self.line + float(shift[1 - int(self.upright)]))
+
+
+Item = Line | Words | Measure
+
+
+def width(text: str, height: float = TEXT) -> float:
+    """Return the width that a text needs."""
+    return height * sum(WIDE_LETTER if unicodedata.east_asian_width(letter) in "WF" else LETTER for letter in text)
+
+
+def number(value: float) -> str:
+    """Format a measure [mm] to 0.01 mm."""
+    return f"{float(value):.2f}".rstrip("0").rstrip(".")
+
+
+def scale_text(factor: float) -> str:
+    """Format a scale: millimetres on paper for one of the part."""
+    return f"{factor:g}:1" if factor >= 1.0 else f"1:{1.0 / factor:g}"
+
+
+def segment(*points: Array) -> Line:
+    """Return a thin line through points (2,)."""
+    return Line(tuple((float(x), float(y), 0.0) for x, y in points))
+
+
+def arrow(tip: Array, way: Array) -> Line:
+    """Return a filled arrow head; `way` is the unit vector from its tip along its line."""
+    side = np.array([-way[1], way[0]]) * ARROW / 6.0
+    return replace(segment(tip, tip + ARROW * way + side, tip + ARROW * way - side), style="solid", closed=True)
+
+
+def circle(at: Array, radius: float, style: Style = "thin") -> Line:
+    """Return a circle."""
+    return Line(rounded(at[None], radius), style, closed=True)
+
+
+def box(items: Iterable[Item]) -> Array:
+    """Return the lower left and upper right corner (2, 2) of what is drawn."""
+    corners = np.concatenate([item.corners for item in items])
+    return np.array([corners.min(axis=0), corners.max(axis=0)])
+
+
+def part_view(
+    part: FlatPart, caption: str, remark: str, tolerances: Mapping[frozenset[str], str], factor: float
+) -> tuple[Item, ...]:
+    """Draw a part with its dimensions: distances of all holes from one of them, along its slot or its longest distance.
+
+    The caption, with the scale, and the remark stand below it. `tolerances` of distances, by their joints; `factor`: millimetres
+    on paper for one of the part.
+    """
+    along = _direction(part)
+    holes = [one for one in part.openings if one.round] or [*part.openings]
+    datum = min(holes, key=lambda one: round(float(one.ends[0] @ along), 9))
+    turn = factor * np.array([along, [-along[1], along[0]]])
+
+    def paper(at: Array) -> Array:
+        return np.asarray((at - datum.ends[0]) @ turn.T)
+
+    def drawn(vertices: Iterable[Vertex]) -> Line:
+        corners = ((*paper(np.array([x, y])), bulge) for x, y, bulge in vertices)
+        return Line(tuple((float(x), float(y), bulge) for x, y, bulge in corners), "outline", closed=True)
+
+    places = [(one.joint, paper(end), 0.5 * factor * one.diameter) for one in part.openings for end in one.ends[: 2 - one.round]]
+    marks = [(name, paper(at), 0.0) for name, at in part.marks.items()]
+    outline = drawn(part.outline)
+    low, high = box([outline])
+    items: list[Item] = [outline, *(drawn(one.outline) for one in part.openings)]
+    for _, at, radius in (*places, *marks):
+        items += [replace(segment(at - arm, at + arm), style="centre") for arm in (radius + CROSS) * np.eye(2)]
+    for upright in (False, True):
+        near: dict[float, tuple[str, Array]] = {}  # by distance, the point nearest to the dimension line
+        for name, at, radius in (*places, *marks):
+            foot = at - (radius + CROSS + GAP) * np.eye(2)[1 - upright]
+            key = round(float(at[int(upright)]), 6)
+            if key not in near or foot[1 - upright] < near[key][1][1 - upright]:
+                near[key] = name, foot
+        start, others = near[0.0], sorted((key for key in near if abs(key) > SAME), key=abs)
+        for k, key in enumerate(others):
+            name, foot = near[key]
+            level = len({round(float(at[1 - upright]), 6) for joint, at, _ in places if joint in (name, datum.joint)}) == 1
+            tolerance = tolerances.get(frozenset((name, datum.joint)), "") if level else ""
+            line = float(low[1 - upright]) - FIRST - ROW * k
+            items.append(Measure(np.array([start[1], foot]), line, bool(upright), factor, tolerance))
+    if len(part.outline) == 4:  # a bar
+        edge = float(high[0]) - 0.5 * factor * part.width + GAP
+        ends = np.array([[edge, low[1]], [edge, high[1]]])
+        items.append(Measure(ends, float(high[0]) + FIRST, True, factor))
+    items += _labels(_diameters(part, paper, factor), float(high[1]) + FIRST, -1.0)
+    items += _labels([_radius(part, outline, factor)], float(high[1]) + FIRST, 1.0)
+    left, bottom = box(items)[0]
+    for k, text in enumerate((f"{caption}   {scale_text(factor)}", remark)):
+        items.append(Words(text, np.array([left, bottom - FIRST - 2.0 * TEXT * k]), align="left"))
+    return tuple(items)
+
+
+def _direction(part: FlatPart) -> Array:
+    """Return the unit vector of a part that is horizontal on paper."""
+    slot = [one.ends for one in part.openings if not one.round]
+    pairs = slot or itertools.combinations(part.core, 2)
+    far = max((end - begin for begin, end in pairs), key=lambda way: float(np.linalg.norm(way)), default=np.array([1.0, 0.0]))
+    length = float(np.linalg.norm(far))
+    way = far / length if length > SAME else np.array([1.0, 0.0])
+    return np.asarray(-way if way[0] < -SAME or (abs(way[0]) <= SAME and way[1] < 0.0) else way)
+
+
+Label = tuple[str, Array, float]
+"""A text with the centre and radius of the circle at which its leader points."""
+
+
+def _diameters(part: FlatPart, paper: Callable[[Array], Array], factor: float) -> list[Label]:
+    """Return the labels of holes and slots of equal sizes, each at the uppermost of them."""
+    groups: dict[tuple[bool, float, str], list[Opening]] = {}
+    for one in part.openings:
+        groups.setdefault((one.round, round(one.diameter, 9), one.fit), []).append(one)
+    labels: list[Label] = []
+    for (whole, diameter, fit), members in groups.items():
+        count = f"{len(members)}× " if len(members) > 1 else ""
+        top = max((paper(end) for one in members for end in one.ends), key=lambda at: (round(float(at[1]), 6), float(at[0])))
+        text = f"{count}{'Ø' if whole else 'slot, width '}{number(diameter)} {fit}"
+        labels.append((text.strip(), top, 0.5 * factor * diameter))
+    return labels
+
+
+def _radius(part: FlatPart, outline: Line, factor: float) -> Label:
+    """Return the label of the outer arcs, at the one that faces the upper right most; of a bar their size is auxiliary."""
+    radius, found = 0.5 * factor * part.width, list[tuple[float, float, Array]]()
+    for (x, y, bulge), (u, v, _) in zip(outline.vertices[::2], outline.vertices[1::2], strict=True):
+        turned, middle = 4.0 * math.atan(bulge), math.atan2(x - u, v - y)  # of the arc, and the direction of its middle
+        centre = 0.5 * np.array([x + u, y + v]) - radius * math.cos(0.5 * turned) * np.array([math.cos(middle), math.sin(middle)])
+        off = (SLOPE - middle + 0.5 * TURN) % TURN - 0.5 * TURN
+        angle = middle + max(-0.5 * turned, min(0.5 * turned, off))
+        tip = centre + radius * np.array([math.cos(angle), math.sin(angle)])
+        found.append((round(max(0.0, abs(off) - 0.5 * turned), 6), -float(tip[0]), tip))
+    if len(found) == 1:
+        return f"Ø{number(part.width)}", found[0][2], 0.0
+    size = f"R{number(0.5 * part.width)}"
+    return f"{len(found)}× {f'({size})' if len(found) == 2 else size}", min(found, key=lambda one: one[:2])[2], 0.0
+
+
+def _labels(labels: Sequence[Label], y: float, way: float) -> Iterator[Item]:
+    """Yield texts in a row at a height with their leaders, which lean to the right or, if `way` is -1, to the left."""
+    free = -math.inf
+    arriving = [way * float(at[0]) + min(FAR, float(y - at[1]) / math.tan(SLOPE)) for _, at, _ in labels]
+    for x, (text, centre, radius) in sorted(zip(arriving, labels, strict=True), key=lambda one: one[0]):
+        x = max(x, free)
+        start, gap = np.array([way * x, y]), np.array([way * GAP, 0.0])
+        along = (start - centre) / np.linalg.norm(start - centre)
+        yield segment(centre + radius * along, start, start + gap)
+        yield arrow(centre + radius * along, along)
+        yield Words(text, start + 2.0 * gap, align="left" if way > 0.0 else "right")
+        free = x + 2.0 * GAP + width(text) + TEXT

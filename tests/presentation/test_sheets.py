@@ -1,0 +1,263 @@
+"""Workshop sheets read back: DXF by ezdxf, PDF by its page objects; texts are measured with a font, not estimated."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import ezdxf
+import numpy as np
+import pytest
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
+
+from optlink.errors import InputError
+from optlink.presentation.export.export import export
+from optlink.presentation.parts import sheet
+from optlink.presentation.parts.model import part_set
+from tests.presentation.test_parts import holes_of, of, written
+from tests.tiers import mostly_slow
+
+MACHINES = ("crank-rocker", "shaper", "slider-crank", "watt-i", "toggle-press", "slotted-quick-return", "two-wipers", "six-bar")
+UNSTACKED = ("function-sin", "whitworth", "path-closed18", "stephenson-iii")
+SIZES = {"A4": (297.0, 210.0), "A3": (420.0, 297.0)}
+STATED = re.compile(r"(\d+)  (\S+)   (\d+:\d+)")
+
+
+@dataclass
+class Text:
+    text: str
+    box: np.ndarray
+
+
+@dataclass
+class Page:
+    """What one sheet of a DXF file contains; the border is the first rectangle of the size of a paper less its margins."""
+
+    border: np.ndarray
+    texts: list[Text]
+    dimensions: list[tuple[str, object]]
+    circles: list[np.ndarray]
+    centres: np.ndarray
+    corners: np.ndarray
+
+    @property
+    def words(self) -> list[str]:
+        return [one.text for one in self.texts]
+
+
+def box_of(text) -> Text:
+    """The letters of a TEXT entity in the font of the figures, whose capitals are as high as the entity says."""
+    align, at, _ = text.get_placement()
+    font = FontProperties(family="DejaVu Sans")
+    box = TextPath((0.0, 0.0), text.dxf.text, size=text.dxf.height / 0.729, prop=font).get_extents()
+    low = {"MIDDLE_LEFT": 0.0, "MIDDLE_CENTER": -0.5, "MIDDLE_RIGHT": -1.0}[align.name] * box.x1
+    corners = np.array([[low, -0.5 * text.dxf.height], [low + box.x1, 0.5 * text.dxf.height]])
+    if text.dxf.rotation:
+        assert text.dxf.rotation == 90.0
+        corners = np.array([-corners[::-1, 1], corners[:, 0]]).T
+    return Text(text.dxf.text, np.array([at.x, at.y]) + corners)
+
+
+def pages(path: Path) -> list[Page]:
+    drawing = ezdxf.readfile(path)
+    assert drawing.audit().errors == []
+    space = drawing.modelspace()
+    texts = [box_of(one) for one in space.query("TEXT")]
+    dimensions = []
+    for one in space.query("DIMENSION"):
+        (printed,) = one.get_geometry_block().query("TEXT")
+        texts.append(box_of(printed))
+        dimensions.append((printed.dxf.text, one))
+    lines = {one: np.array([point[:2] for point in one.get_points("xy")]) for one in space.query("LWPOLYLINE")}
+    for _, one in dimensions:
+        lines |= {line: np.array(line.get_points("xy")) for line in one.get_geometry_block().query("LWPOLYLINE")}
+    circles = [(np.array(one.dxf.center)[:2], one.dxf.radius, one.dxf.layer) for one in space.query("CIRCLE")]
+    found = []
+    for line in lines.values():
+        low, high = line.min(axis=0), line.max(axis=0)
+        if not any(np.allclose(high - low, np.array(size) - [30.0, 20.0], rtol=0, atol=1e-9) for size in SIZES.values()):
+            continue
+
+        def within(at, low=low, high=high) -> bool:
+            return bool(np.all((np.asarray(at) > low - 25.0) & (np.asarray(at) < high + 15.0)))
+
+        centres = [one.mean(axis=0) for key, one in lines.items() if key.dxf.layer == "centre"]
+        corners = [point for one in lines.values() for point in one]
+        corners += [at + way * radius for at, radius, _ in circles for way in (-1.0, 1.0)]
+        found.append(
+            Page(
+                np.array([low, high]),
+                [one for one in texts if within(one.box.mean(axis=0))],
+                [one for one in dimensions if within(np.array(one[1].dxf.text_midpoint)[:2])],
+                [at for at, _, layer in circles if layer == "outline" and within(at)],
+                np.array([at for at in centres if within(at)]).reshape(-1, 2),
+                np.array([at for at in corners if within(at)]),
+            )
+        )
+    return sorted(found, key=lambda page: page.border[0, 0])
+
+
+def clash(one: np.ndarray, other: np.ndarray) -> bool:
+    return bool(np.all((one[0] < other[1]) & (other[0] < one[1])))
+
+
+@pytest.fixture(scope="module")
+def sheet_of(tmp_path_factory):
+    """The file of a machine and its sheets, each written and read once."""
+    known = {}
+
+    def read(name: str):
+        if name not in known:
+            path = written(of(name), tmp_path_factory.mktemp("sheets") / f"{name}.dxf", content="sheet")
+            known[name] = of(name), pages(path), path
+        return known[name]
+
+    return read
+
+
+CASES = mostly_slow((*MACHINES, *UNSTACKED), "crank-rocker", "shaper", "function-sin")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_printed_dimensions_are_the_distances(name, sheet_of):
+    """Text of the block = what ezdxf prints when it measures again = distance of the ends; the ends are centres, to 1e-6 mm."""
+    _, sheets, path = sheet_of(name)
+    drawing = ezdxf.readfile(path)
+    again = {one.dxf.handle: one for one in drawing.modelspace().query("DIMENSION")}
+    compared = 0
+    for page in sheets:
+        for printed, one in page.dimensions:
+            axis = int(one.dxf.angle == 90.0)
+            ends = np.array([one.dxf.defpoint2, one.dxf.defpoint3])[:, axis]
+            factor = drawing.dimstyles.get(one.dxf.dimstyle).dxf.dimlfac
+            assert f"{abs(ends[1] - ends[0]) * factor:.2f}".rstrip("0").rstrip(".") == printed
+            override = again[one.dxf.handle].override()
+            override.render()
+            (measured,) = again[one.dxf.handle].get_geometry_block().query("MTEXT")
+            assert measured.plain_text() == printed
+            compared += all(np.abs(page.centres[:, axis] - end).min() < 1e-6 for end in ends)
+    assert compared >= len(part_set(of(name).cycle).parts)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_hole_distances_are_those_of_the_motion_at_the_stated_scale(name, sheet_of):
+    """Circles of the view above the caption of a part, divided by the scale that the caption states."""
+    about, sheets, _ = sheet_of(name)
+    wanted, compared = holes_of(about), 0
+    for page in sheets[1:]:
+        captions = [(match, one.box) for one in page.texts if (match := STATED.fullmatch(one.text))]
+        for match, box in captions:
+            enlarged, reduced = map(int, match[3].split(":"))
+            beside = [x for other, (x, y) in ((m, b[0]) for m, b in captions) if x > box[0, 0] + 1.0 and y > box[0, 1] - 150.0]
+            above = [y for y in (b[1, 1] for _, b in captions) if y > box[1, 1] + 1.0]
+            low = np.array([box[0, 0], box[1, 1]])
+            high = np.array([min([*beside, page.border[1, 0]]), min([*above, page.border[1, 1]])])
+            holes = np.array([at for at in page.circles if np.all((at > low) & (at < high))]).reshape(-1, 2)
+            if match[2] not in wanted or len(holes) < 2:
+                continue
+            found = sorted(math.dist(p, q) * reduced / enlarged for p, q in itertools.combinations(holes, 2))
+            np.testing.assert_allclose(found, wanted[match[2]], rtol=0, atol=1e-6)
+            if len(holes) == 2 and len(wanted[match[2]]) == 1:
+                printed = {text for text, _ in page.dimensions}
+                assert f"{found[0]:.2f}".rstrip("0").rstrip(".") in printed
+            compared += len(found)
+    assert compared
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_nothing_overlaps_or_leaves_the_border(name, sheet_of):
+    for page in sheet_of(name)[1]:
+        boxes = [one.box for one in page.texts]
+        assert [(a.text, b.text) for a, b in itertools.combinations(page.texts, 2) if clash(a.box, b.box)] == []
+        corners = np.concatenate([page.corners, *boxes])
+        assert np.all(corners >= page.border[0] - 1e-9)
+        assert np.all(corners <= page.border[1] + 1e-9)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_part_and_pin_is_listed_and_drawn(name, sheet_of):
+    """Quantities of the list; a balloon for every row; a caption of every part, once; sheets are counted."""
+    about, sheets, _ = sheet_of(name)
+    parts = part_set(about.cycle)
+    first = sheets[0]
+    rows: dict[float, list[Text]] = {}
+    for one in first.texts:
+        if one.box[0, 0] > first.border[1, 0] - 181.0:
+            rows.setdefault(round(float(one.box[0, 1]), 3), []).append(one)
+    listed = [[one.text for one in sorted(row, key=lambda one: one.box[0, 0])] for row in rows.values()]
+    listed = [row for row in listed if len(row) >= 4 and row[0].isdigit() and row[1].isdigit()]
+    assert sorted(int(row[0]) for row in listed) == list(range(1, len(listed) + 1))
+    assert {row[2] for row in listed if not row[2].startswith("pin ")} == parts.parts.keys()
+    pins = {name: int(row[1]) for row in listed if row[2].startswith("pin ") for name in row[2][4:].split(", ")}
+    assert pins.keys() == {pin.name for pin in parts.pins}
+    assert sum(int(row[1]) for row in listed if row[2].startswith("pin ")) == len(parts.pins)
+    assert all(" × " in row[3] for row in listed if row[2].startswith("pin ")) == (name not in UNSTACKED[:2])
+    counted = [word for word in first.words if word.isdigit()]
+    assert all(counted.count(row[0]) >= 2 for row in listed)
+    captions = [match[2] for page in sheets[1:] for word in page.words if (match := STATED.fullmatch(word))]
+    assert sorted(captions) == sorted(parts.parts)
+    for k, page in enumerate(sheets, 1):
+        assert f"{k} / {len(sheets)}" in page.words
+        assert {"ISO 2768-m", "mm"} < {*page.words}
+
+
+@pytest.mark.parametrize("name", mostly_slow(MACHINES, "crank-rocker"))
+def test_pdf_pages_are_the_sheets_at_true_size(name, sheet_of, tmp_path):
+    about, sheets, _ = sheet_of(name)
+    data = written(about, tmp_path / "a.pdf", content="sheet").read_bytes()
+    media = [tuple(map(float, found)) for found in re.findall(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", data)]
+    sizes = [tuple(np.diff(page.border, axis=0)[0] + [30.0, 20.0]) for page in sheets]
+    assert len(media) == len(re.findall(rb"/Type /Page\b", data)) == len(sheets)
+    np.testing.assert_allclose(media, np.array(sizes) * 72.0 / 25.4, atol=1e-4)
+    assert {tuple(np.round(size, 6)) for size in sizes} <= {*SIZES.values()}
+    assert data == written(about, tmp_path / "b.pdf", content="sheet").read_bytes()
+
+
+def test_what_the_file_states_is_printed(tmp_path):
+    """Facts of the title block, fits, materials and tolerances of the lengths; nothing of them where nothing is stated."""
+    facts = {"company": "Example Works", "author": "A. Designer", "part": "W-17", "revision": "B", "date": "2026-01-02"}
+    changes = {
+        "report": {"title": "轴 and 连杆", **facts},
+        "parts": {"fit": "H7", "material": "S235JR", "links": {"crank": {"material": "C45"}}, "joints": {"C": {"fit": "H8"}}},
+        "tolerances": {"coupler": "0.1 mm"},
+    }
+    sheets = pages(written(of("crank-rocker", changes), tmp_path / "a.dxf", content="sheet"))
+    for page in sheets:
+        assert {*facts.values(), "轴 and 连杆"} <= {*page.words}
+    words = {word for page in sheets for word in page.words}
+    assert {"400 ±0.1", "400", "2× Ø20 H7", "Ø20 H8", "t = 10   S235JR", "t = 10   C45", "Material", "C45"} <= words
+    bare = {word for page in pages(written(of("crank-rocker"), tmp_path / "b.dxf", content="sheet")) for word in page.words}
+    assert {"2× Ø20", "t = 10"} <= bare
+    assert not {"Material", "H7"} & bare
+
+
+def test_a_design_that_is_not_valid_says_so(tmp_path, monkeypatch):
+    about = of("crank-rocker")
+    monkeypatch.setattr(type(about), "valid", property(lambda self: False))
+    assert any("NOT VALID" in word for word in pages(written(about, tmp_path / "a.dxf", content="sheet"))[0].words)
+
+
+def test_small_parts_are_enlarged(tmp_path):
+    """A hole of 1 mm is drawn 5 mm wide; the printed distance stays that of the part."""
+    small = {f"mechanism.{name}": "20 mm" for name in ("frame", "coupler", "rocker")} | {"mechanism.crank": "5 mm"}
+    sheets = pages(written(of("crank-rocker", small | {"parts.hole": "1 mm"}), tmp_path / "a.dxf", content="sheet"))
+    assert {match[3] for page in sheets[1:] for word in page.words if (match := STATED.fullmatch(word))} == {"5:1"}
+    assert {"20", "5"} <= {text for page in sheets for text, _ in page.dimensions}
+
+
+def test_long_texts_stay_in_their_cells(tmp_path):
+    report = {"company": "W" * 200, "title": "long words " * 18}
+    for page in pages(written(of("crank-rocker", {"report": report}), tmp_path / "a.dxf", content="sheet")):
+        assert any(word.endswith("…") for word in page.words)
+        assert not any(clash(a.box, b.box) for a, b in itertools.combinations(page.texts, 2) if "W" not in a.text + b.text)
+
+
+def test_a_drawing_without_room_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(sheet, "SCALES", (1.0,))
+    with pytest.raises(InputError, match="the drawing of the assembly does not fit on an A3 sheet"):
+        export(of("crank-rocker"), tmp_path / "a.pdf")
+    assert not [*tmp_path.iterdir()]
