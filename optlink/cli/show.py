@@ -99,13 +99,14 @@ def _template(problem: ProblemFile, name: str = "") -> str:
 
 
 NAME_HELP = "Name of the template. Default: list the templates."
+FROM_HELP = "Instead of a template: a file of Linkage (.linkage2) or pylinkage (JSON), or a share link of PMKS+."
 Name = Annotated[str, typer.Argument(metavar="TEMPLATE", autocompletion=template_names, help=NAME_HELP, show_default=False)]
 
 
 def new(
     name: Name = "",
     listed: Annotated[bool, flag("List the templates.", "--list")] = False,
-    link: Annotated[str | None, option("LINK", "Instead of a template: a share link of PMKS+.", "--from")] = None,
+    source: Annotated[str | None, option("SOURCE", FROM_HELP, "--from")] = None,
     out: Annotated[Path | None, option("FILE", "File to write. Default: standard output.", "-o", "--out")] = None,
     force: Annotated[bool, flag("Overwrite an existing file.", "--force")] = False,
     as_json: Json = False,
@@ -114,9 +115,9 @@ def new(
     """Write a new problem file from a template that is complete and commented: change its values and solve it."""
     from optlink.problem.templates import template, templates
 
-    if link is not None:
+    if source is not None:
         console.refuse(
-            {"TEMPLATE": name or None, "--list": listed or None}, "the file comes from a link", "Leave it out", "--from"
+            {"TEMPLATE": name or None, "--list": listed or None}, "the file comes from another program", "Leave it out", "--from"
         )
     elif listed or not name:
         console.refuse({"--out": out, "--force": force}, "--list writes no file", "Name a template: new law")
@@ -136,7 +137,7 @@ def new(
         return
     if out is not None:
         _check(out, force)
-    text = template(name, out) if link is None else _from_link(link, out)
+    text = template(name, out) if source is None else _foreign(source, out)
     if out is not None:
         from optlink.io import whole
 
@@ -147,19 +148,19 @@ def new(
         console.print_json(document | {"file": None if out is None else str(out), "text": text.text})
     elif out is None:
         print(text.text, end="")
-        if not console.quiet and link is None:
+        if not console.quiet and source is None:
             print(f"Next: optlink new {name} --out {name}.toml", file=sys.stderr)
     else:
         print(f"Written: {out}" if console.quiet else f"Written: {out}. Next: {text.commands[0]}")
 
 
-def _from_link(link: str, out: Path | None) -> Template:
-    """Return the problem file of a share link."""
+def _foreign(source: str, out: Path | None) -> Template:
+    """Return the problem file of a linkage of another program."""
     from optlink.problem.foreign import problem_text
     from optlink.problem.templates import Template
 
     commands = (f"optlink analyze {shlex.quote(str(out or 'mine.toml'))}",)
-    return Template("PMKS+ link", "Linkage from PMKS+", commands, problem_text(link))
+    return Template("", "Linkage of another program", commands, problem_text(source))
 
 
 def _check(out: Path, force: bool) -> None:
