@@ -101,7 +101,7 @@ class Drawing:
         named: dict[str, str] = {}
         for joint in self.places:
             label = re.sub(r"\W+", "_", self.labels.get(joint, joint), flags=re.ASCII)[:30]
-            if not label.isidentifier() or label in RESERVED or re.match("link_|slider_|guide_", label):
+            if not label[:1].isalpha() or label in RESERVED or re.match("link_|slider_|guide_", label):
                 label = f"P_{label}"
             tries = itertools.chain([label], (f"{label}_{number}" for number in itertools.count(2)))
             named[joint] = next(name for name in tries if name not in named.values())
@@ -566,11 +566,12 @@ def problem_text(source: str) -> str:
     where = where or f"{reader.program} link"
     try:
         tables = reader.read(text).tables(f"Linkage from {reader.program}")
+        dumped = tomli_w.dumps(tables)
+        text = re.sub(r",?\n +|,\n(?=\])", lambda gap: ", " if gap[0][0] == "," and gap[0][-1] == " " else "", dumped)
+        read(text, "drawing", where)
     except InputError as error:
-        faults = [replace(fault, file=where, remedy=fault.remedy or reader.remedy) for fault in error.faults]
-        raise InputError(faults) from None
-    text = re.sub(r",?\n +|,\n(?=\])", lambda gap: ", " if gap[0][0] == "," and gap[0][-1] == " " else "", tomli_w.dumps(tables))
-    read(text, "drawing", where)
+        fault = error.faults[0]
+        raise InputError(replace(fault, file=where, remedy=fault.remedy or reader.remedy)) from None
     return text
 
 

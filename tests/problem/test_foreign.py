@@ -345,11 +345,17 @@ def test_a_file_that_is_missing_or_too_large_is_refused(tmp_path):
         problem_text(str(tmp_path / "drawn.linkage2"))
 
 
+VALUES = ["0", "1e400", "-1e308", "1e-320", "9" * 400, "NaN", "null", "[]", "{}", "true", "A", "link_1", "frame", "C", "1e7", "é"]
+
+
 def damaged(chance: random.Random) -> str:
     """Return a text of one of the formats with some characters changed, a link with the check sum of its length."""
     writer = chance.choice([*WRITERS])
-    text = list(WRITERS[writer](chance.choice([*LINKAGES.values()])))
-    for _ in range(chance.randint(1, 4)):
+    whole = WRITERS[writer](chance.choice([*LINKAGES.values()]))
+    for found in chance.sample([*re.finditer(r"-?\d[\d.]*|(?<=\").*?(?=\")", whole)], chance.randint(0, 2)):
+        whole = whole.replace(found[0], chance.choice(VALUES), chance.choice([-1, 1]))
+    text = list(whole)
+    for _ in range(chance.randint(0, 3)):
         place = chance.randrange(len(text))
         text[place : place + chance.randint(0, 3)] = chance.choices('.,0AZaz-_~%é\n\x00KLP"<>{}[]:/|&=9', k=chance.randint(0, 3))
     changed = "".join(text)
