@@ -66,7 +66,7 @@ def export(
         Path,
         option(
             "FILE",
-            "File to write; its suffix selects the format: .dxf, .svg, .pdf, .stl, .3mf, .csv, .json or .xml (MuJoCo).",
+            "File to write; its suffix selects the format: .dxf, .svg, .pdf, .stl, .3mf, .csv, .json, .xml (MuJoCo) or .txt (PMKS+).",
             "-o",
             "--out",
         ),
@@ -100,7 +100,7 @@ def export(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Export a design: drawing, parts to cut or print, workshop sheets, motion, geometry, a model of MuJoCo."""
+    """Export a design: drawing, parts to cut or print, workshop sheets, motion, geometry, a model of MuJoCo, a link of PMKS+."""
     from optlink.presentation.export.export import FORMATS, Options, export as write
     from optlink.presentation.files import check_target
 

@@ -104,7 +104,7 @@ def export(
     source : Result, ProblemFile, str or Path
         Result of `solve`, `validate` or `analyze`; or a problem, which is solved first, or analysed if it has nothing to design.
     file : str or Path
-        File to write; its suffix selects the format: .dxf, .svg, .pdf, .stl, .3mf, .csv, .json or .xml (MuJoCo).
+        File to write; its suffix selects the format: .dxf, .svg, .pdf, .stl, .3mf, .csv, .json, .xml (MuJoCo) or .txt (PMKS+).
     at : float [rad] or [m], optional
         Crank angle of the drawing; of a slide or cylinder that drives, its slide or length. Default: the start of the motion.
     hole, width : float [m], optional

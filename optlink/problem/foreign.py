@@ -181,6 +181,15 @@ def _number(text: str) -> float:
     return (-value if digits is not text else value) / 1000.0
 
 
+def digits(value: float) -> str:
+    """Return the nearest integer as the digits of a link."""
+    rest, text = abs(round(value)), ""
+    while rest or not text:
+        rest, digit = divmod(rest, 64)
+        text = DIGITS[digit] + text
+    return "0" + text if round(value) < 0 else text
+
+
 def check_digit(text: str) -> str:
     """Return the check sum of a link, which ends it: its length."""
     return DIGITS[len(text) % 62]

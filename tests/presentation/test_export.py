@@ -416,9 +416,12 @@ for path in sys.argv[1:]:
 
 @pytest.mark.slow
 def test_failed_writes_keep_the_previous_file(tmp_path):
-    """A limit of the system on the size of files, met in the middle of the writing, in a process of its own."""
+    """A limit of the system on the size of files, met in the middle of the writing, in a process of its own.
+
+    The machine can be no model of MuJoCo and no link of PMKS+.
+    """
     pytest.importorskip("resource", reason="this system has no such limits")
-    paths = [tmp_path / f"a{ending}" for ending in (*FORMATS, ".html")]
+    paths = [tmp_path / f"a{ending}" for ending in (*sorted(FORMATS.keys() - {".xml", ".txt"}), ".html")]
     for path in paths:
         path.write_text("as it was")
     command = [sys.executable, "-c", LIMITED, *map(str, paths)]

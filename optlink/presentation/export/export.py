@@ -1,4 +1,4 @@
-"""Export of a design: drawings at a crank angle, parts to cut or print and their sheets, motion, geometry, a model of MuJoCo."""
+"""Export of a design: drawings at a crank angle, parts to cut or print and their sheets, motion, geometry, a model of MuJoCo, a link of PMKS+."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -252,6 +252,14 @@ def _mjcf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> 
         temporary.write_text(text, encoding="utf-8")
 
 
+def _pmks(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    from optlink.presentation.export.pmks import share_link
+
+    text = share_link(cycle, place_of(cycle, options.at))
+    with whole(path) as temporary:
+        temporary.write_text(f"{text}\n", encoding="utf-8")
+
+
 Writer = Callable[[ReportModel, Analysis, Path, Options], None]
 FORMATS: dict[str, dict[str, Writer]] = {
     ".dxf": {"drawing": _dxf, "parts": _cutting, "sheet": _sheet},
@@ -262,5 +270,6 @@ FORMATS: dict[str, dict[str, Writer]] = {
     ".csv": {"motion": _csv},
     ".json": {"geometry": _json},
     ".xml": {"model": _mjcf},
+    ".txt": {"pmks": _pmks},
 }
 """What can be written, by the ending of the file and by content, the usual one first."""

@@ -250,10 +250,9 @@ class _Model:
         return {"tendon": name}
 
 
-def _without_counterpart(cycle: Analysis) -> Iterator[tuple[str, str, str]]:
-    """Yield what of a machine MuJoCo has no counterpart for, with the remedy and the key of the file."""
-    machine = cycle.machine
-    mechanism = machine.mechanism
+def without_full_turn(cycle: Analysis) -> Iterator[tuple[str, str, str]]:
+    """Yield what of a machine is not a crank that turns at constant speed and moves pins and guides."""
+    mechanism = cycle.machine.mechanism
     if mechanism.drives:
         yield "a drive other than a crank at constant speed", 'Drive a body pinned to the frame: speed = "60 rpm"', "drive"
     if cycle.static:
@@ -264,6 +263,13 @@ def _without_counterpart(cycle: Analysis) -> Iterator[tuple[str, str, str]]:
         yield "a motion through change points", "Change a length a little", "mechanism"
     for element in mechanism.elements:
         yield f"{element.name} ({element.kind})", "Export a machine without gears, racks and cams", "mechanism"
+
+
+def _without_counterpart(cycle: Analysis) -> Iterator[tuple[str, str, str]]:
+    """Yield what of a machine MuJoCo has no counterpart for, with the remedy and the key of the file."""
+    yield from without_full_turn(cycle)
+    machine = cycle.machine
+    mechanism = machine.mechanism
     for name, friction in machine.friction.items():
         if np.any(friction):
             yield f"friction in the guide {name}", "Set it to zero", f"mechanism.guides.{name}.friction"
