@@ -203,10 +203,8 @@ def _pmks(text: str) -> Drawing:
     if check_digit(query[:-1]) != query[-1]:
         _refuse("the link is damaged or not one of PMKS+: its length does not fit its check sum")
     head, parts = query[:-1].split(".")[:4], query[:-1].split(".")[4:]
-    if len(head) < 4 or parts.count("") < 2 or head[3][:1] not in {"0", "1", "2"}:
-        _refuse("the link is damaged: its settings, joints or links are missing")
-    if not head[0] or any(digit not in DIGITS for digit in head[0]):
-        _refuse("the link is damaged: its settings cannot be read")
+    if len(head) < 4 or parts.count("") < 2 or head[3][:1] not in {"0", "1", "2"} or head[0][-1:] not in {*DIGITS}:
+        _refuse("the link is damaged: its settings, joints or links cannot be read")
     joints, parts = parts[: parts.index("")], parts[parts.index("") + 1 :]
     links = parts[: parts.index("")] if "" in parts else parts
     drawing, slides = Drawing(UNITS[int(head[3][0])]), dict[str, float]()
@@ -297,9 +295,7 @@ NOT_READ = {
     "gear": ("a gear or chain", "Take it out"),
     "slideradius": ("a curved slot", "Draw a straight one on the frame"),
     "limitangle": ("an input that swings", "Let it turn fully"),
-    "fasten": ("a fastened element", "Join its links into one"),
-    "fastenlink": ("a fastened element", "Join its links into one"),
-    "fastenconnector": ("a fastened element", "Join its links into one"),
+    **dict.fromkeys(("fasten", "fastenlink", "fastenconnector"), ("a fastened element", "Join its links into one")),
 }
 OFF = {"false", "0", "0.000000"}
 
@@ -326,8 +322,9 @@ def _linkage(text: str) -> Drawing:
         if part.get("measurementelement") != "true" and (_real(part.get("layer") or "0") or 16.0) >= 16.0  # 1 is decoration
     ]
     for part in parts:
+        marks = {**part.attrib, **{inner.tag: "fastened" for inner in part}}
         for attribute, (what, remedy) in NOT_READ.items():
-            if (value := part.get(attribute)) and (value not in OFF or attribute.startswith("fasten")):
+            if (value := marks.get(attribute)) and (value not in OFF or attribute.startswith("fasten")):
                 _refuse(f"{what} is not supported", remedy, f"{part.tag} {part.get('id')}")
     sliders = list[ElementTree.Element]()
     for part in parts:
@@ -342,8 +339,6 @@ def _linkage(text: str) -> Drawing:
             if part.get("input") == "true":
                 drawing.drives.append((name, -RPM * _real(part.get("rpm") or "0")))
         elif part.tag in ("Link", "element"):
-            if part.find("fastenconnector") is not None:
-                _refuse("a fastened element is not supported", "Join its links into one", f"{part.tag} {part.get('id')}")
             members = (connector.get("id", "") for connector in part.findall("connector"))
             drawing.links.append([name for name in members if name in drawing.places])
     for part in sliders:
@@ -364,8 +359,7 @@ class _Table(BaseModel, allow_inf_nan=False):
 
 
 class _Parent(_Table):
-    ref: str = ""
-    inline: bool = False
+    ref: str = ""  # of a fixed point that stands here with its place, none
     x: float = 0.0
     y: float = 0.0
 
@@ -440,9 +434,9 @@ def _pylinkage(text: str) -> Drawing:
             _refuse(f"{joint.type} is not supported, or a parent of it is missing", "Build it of the joints of pylinkage", name)
         parents[name] = []
         for parent in filter(None, given):
-            inner = f"{parent.x:g}_{parent.y:g}" if parent.inline else parent.ref
+            inner = parent.ref or f"{parent.x:g}_{parent.y:g}"
             parents[name].append(inner)
-            if parent.inline:
+            if not parent.ref:
                 drawing.places[inner] = complex(parent.x, parent.y)
                 drawing.ground.add(inner)
     while ready := [name for name in pending if drawing.places.keys() >= {*parents[name]}]:
@@ -532,22 +526,21 @@ def _pylinkage_mechanism(text: str) -> Drawing:
 
 @dataclass(frozen=True)
 class Reader:
-    """A format: the pattern by which it is recognised, the program that writes it, how to read it, and the general remedy."""
+    """A format: the pattern by which it is recognised, the program that writes it, and how to read it."""
 
     pattern: str
     program: str
     read: Callable[[str], Drawing]
-    remedy: str
+    remedy: str = "Copy the link again from Share in PMKS+"
 
 
-AGAIN = "Copy the link again from Share in PMKS+"
 READERS = (
     Reader(r"\s*<", "Linkage", _linkage, "Save the file again in Linkage"),
     Reader(r'(?s)\s*\{.*"links"\s*:', "pylinkage", _pylinkage_mechanism, "Save the mechanism again with pylinkage"),
     Reader(r"\s*\{", "pylinkage", _pylinkage, "Save the linkage again with pylinkage"),
-    Reader(r"(?s).*[?&]mech=", "PMKS", _first_pmks, ""),
-    Reader(r"(?s)(.*[?&])?j=", "PMKS+", _old_pmks, AGAIN),
-    Reader("", "PMKS+", _pmks, AGAIN),
+    Reader(r"(?s).*[?&]mech=", "PMKS", _first_pmks),
+    Reader(r"(?s)(.*[?&])?j=", "PMKS+", _old_pmks),
+    Reader("", "PMKS+", _pmks),
 )
 """Formats that are read; the first that is recognised counts."""
 

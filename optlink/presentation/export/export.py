@@ -244,20 +244,14 @@ def _plain(vector: Vector) -> list[float]:
     return [float(part) for part in vector]
 
 
-def _mjcf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+def _foreign(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    """Write the machine for another program."""
     from optlink.presentation.export.mjcf import mjcf
-
-    text = mjcf(cycle, place_of(cycle, options.at))
-    with whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def _pmks(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     from optlink.presentation.export.pmks import share_link
 
-    text = share_link(cycle, place_of(cycle, options.at))
+    text = {".xml": mjcf, ".txt": share_link}[path.suffix.lower()](cycle, place_of(cycle, options.at))
     with whole(path) as temporary:
-        temporary.write_text(f"{text}\n", encoding="utf-8")
+        temporary.write_text(f"{text.rstrip()}\n", encoding="utf-8")
 
 
 Writer = Callable[[ReportModel, Analysis, Path, Options], None]
@@ -269,7 +263,7 @@ FORMATS: dict[str, dict[str, Writer]] = {
     ".3mf": {"parts": _printing, "assembly": _assembly},
     ".csv": {"motion": _csv},
     ".json": {"geometry": _json},
-    ".xml": {"model": _mjcf},
-    ".txt": {"pmks": _pmks},
+    ".xml": {"model": _foreign},
+    ".txt": {"pmks": _foreign},
 }
 """What can be written, by the ending of the file and by content, the usual one first."""
