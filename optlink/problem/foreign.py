@@ -117,7 +117,7 @@ class Drawing:
                 rigid[one[0]] |= rigid.pop(number)
         for joint, ends in self.slots.items():
             if not self.ground.issuperset(ends):
-                _refuse(*SLOT, joint)
+                _refuse(*SLOT, self.labels.get(joint, joint))
             self.lines[joint] = cmath.phase(self.places[ends[1]] - self.places[ends[0]])
         used = set().union(*rigid[1:])
         self.ground &= used
