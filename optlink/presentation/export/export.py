@@ -1,4 +1,4 @@
-"""Export of a design: drawings at a crank angle, parts to cut or print and their sheets, motion, geometry, a model of MuJoCo, a link of PMKS+."""
+"""Export of a design: drawings, parts to cut or print and their sheets, motion, geometry, a model of MuJoCo, a link of PMKS+."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
