@@ -66,7 +66,7 @@ def export(
         Path,
         option(
             "FILE",
-            "File to write; its suffix selects the format: .dxf, .svg, .pdf, .stl, .3mf, .csv, .json, .xml (MuJoCo), .txt (PMKS+).",
+            "File to write; its ending selects: .dxf, .svg, .pdf, .stl, .3mf, .csv, .json, .xml (MuJoCo), .txt (PMKS+).",
             "-o",
             "--out",
         ),
