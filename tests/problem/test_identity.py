@@ -465,6 +465,7 @@ def test_no_other_function_of_problems_reads_a_file():
         "file._read_toml",
         "document.read_document",
         "templates.template",
+        "foreign._content",
         "overview.overview",
     }
 
