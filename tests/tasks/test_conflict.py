@@ -13,7 +13,7 @@ from optlink.presentation.report_model import report_model_of
 from optlink.presentation.views import conclusions
 from optlink.presentation.views.design_view import best, title_of
 from optlink.solvers.solution import Relaxation
-from optlink.tasks.results.conflict import opposed_limits, refutation
+from optlink.tasks.results.conflict import LARGER_SWING, opposed_limits, refutation
 
 
 def limit(name: str, sense: str, bound: float, relaxed: float, unit: str, *, both: bool = False) -> Relaxation:
@@ -36,7 +36,8 @@ NEVER = limit("time ratio", ">=", 1.5, math.nan, "")
         (
             (SWING, COUPLER),
             "100 deg of swing and coupler at least 300 mm exclude each other. "
-            "With 300 mm the rocker swings 89.82 deg; with 100 deg the coupler is 212.3 mm.",
+            "With 300 mm the rocker swings 89.82 deg; with 100 deg the coupler is 212.3 mm. "
+            f"{LARGER_SWING}",
         ),
         (
             (TURNS, COUPLER),
@@ -46,12 +47,14 @@ NEVER = limit("time ratio", ">=", 1.5, math.nan, "")
         ),
         (
             (NEVER, SWING),
-            "time ratio at least 1.5 and 100 deg of swing exclude each other. With 1.5 the rocker swings 89.82 deg.",
+            "time ratio at least 1.5 and 100 deg of swing exclude each other. With 1.5 the rocker swings 89.82 deg. "
+            f"{LARGER_SWING}",
         ),
         (
             (SWING, NEVER, COUPLER, GUIDE),
             "100 deg of swing (89.81 deg is possible otherwise), time ratio at least 1.5, coupler at least 300 mm (212.3 mm is "
-            "possible otherwise) and peak guide force in F at most 200 N (695.9 N is possible otherwise) exclude one another.",
+            "possible otherwise) and peak guide force in F at most 200 N (695.9 N is possible otherwise) exclude one another. "
+            f"{LARGER_SWING}",
         ),
     ],
 )
@@ -111,7 +114,8 @@ def test_the_sentence_leads_in_every_place(tmp_path) -> None:
     sentence = (
         "No such linkage: 110 deg of swing and 48 deg of transmission angle exclude each other. "
         f"With 48 deg the rocker swings {110.0 - short[0]:.4g} deg; "
-        f"with 110 deg the transmission angle falls to {48.0 - short[1]:.4g} deg."
+        f"with 110 deg the transmission angle falls to {48.0 - short[1]:.4g} deg. "
+        f"{LARGER_SWING}"
     )
     assert result.refuted == sentence
     assert result.to_dict()["message"] == sentence

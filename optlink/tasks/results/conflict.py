@@ -28,8 +28,10 @@ ROUNDING = 1e-12  # share of the limit value below which a relaxed value is zero
 DIGITS = 4
 SENSES = {">=": "at least ", "<=": "at most ", "=": ""}
 OPPOSITE = 180.0  # deg, sum of two transmission angles at the same distance from 90 deg
+SWING = "swing angle of the "  # begins the name of the limit of a four-bar
+LARGER_SWING = "A six-bar swings further: optlink new large-swing."
 PHRASES = (
-    (r"swing angle of the (.+)", "{} of swing", r"the \1 swings {}"),
+    (f"{SWING}(.+)", "{} of swing", r"the \1 swings {}"),
     (r"(?:smallest |largest )?(transmission angle.*)", r"{} of \1", r"the \1 falls to {}"),
     (r"((?:peak )?pressure angle.*)", r"a \1 of {}", r"the \1 rises to {}"),
     (r"coupler and rocker not in line", "{} between coupler and rocker", "the coupler and the rocker come within {} of a line"),
@@ -69,6 +71,11 @@ class OpposedLimit:
     def condition(self) -> bool:
         """Whether it is a condition without a value that a designer knows."""
         return re.fullmatch(CONDITIONS, self.name) is not None
+
+    @property
+    def short_of_swing(self) -> bool:
+        """Whether it asks for more swing of a lever than the other limits leave."""
+        return self.name.startswith(SWING) and self.sides[0].relaxed < self.sides[0].bound
 
     @property
     def satisfiable(self) -> bool:
@@ -144,12 +151,13 @@ def refutation(limits: Sequence[Relaxation], what: str = "linkage") -> str:
     if len(opposed) == 1:
         best = f"; {opposed[0].outcome} at best" if opposed[0].satisfiable else ""
         return f"No such {what}: {opposed[0].named} cannot be met{best}."
+    further = f" {LARGER_SWING}" * any(limit.short_of_swing for limit in opposed)
     if len(opposed) == 2:
         outcomes = "; ".join(f"with {_kept(opposed, k)} {limit.outcome}" for k, limit in enumerate(opposed) if limit.satisfiable)
         instead = f" {outcomes[:1].upper()}{outcomes[1:]}." if outcomes else ""
-        return f"No such {what}: {opposed[0].named} and {opposed[1].named} exclude each other.{instead}"
+        return f"No such {what}: {opposed[0].named} and {opposed[1].named} exclude each other.{instead}{further}"
     *names, last = [limit.instead for limit in opposed]
-    return f"No such {what}: {', '.join(names)} and {last} exclude one another."
+    return f"No such {what}: {', '.join(names)} and {last} exclude one another.{further}"
 
 
 def _kept(opposed: Sequence[OpposedLimit], changed: int) -> str:
