@@ -90,7 +90,15 @@ def machine(cycle: Analysis) -> str:
     sliders = "" if not slides else " with a slider" if slides == 1 else f" with {slides} sliders"
     drive = f"the {driving.coordinate}" if driving.ends is not None else "laws of its drives" if mechanism.drives else "its crank"
     turning = ", which turns fully" if cycle.ranges.full and not mechanism.drives and mechanism.limits is None else ""
-    text = f"{BARS.get(bars, f'{bars}-bar')} linkage{sliders}, driven by {drive}{turning}"
+    plain = bars in BARS and not mechanism.cylinders
+    kind = (
+        f"{BARS[bars]} linkage"
+        if plain
+        else "linkage with one moving body"
+        if bars == 2
+        else f"linkage with {bars - 1} moving bodies"
+    )
+    text = f"{kind}{sliders}, driven by {drive}{turning}"
     return f"{text[0].upper()}{text[1:]}"
 
 
