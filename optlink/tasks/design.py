@@ -164,8 +164,8 @@ class SynthesisTask(DesignTask[SynthesisResult]):
             return polisher.of_order(0, 1, trace, order, near)
         if task.data.offsets is None and task.rotation == "either":
             message = "the crank may pass the points in either direction: each has its own programme"
-            remedy = 'Choose one: problem.override({"requirement.rotation": "clockwise"})'
-            raise InputError(message, remedy, problem.file, "requirement.rotation")
+            key = f"{task.each[0].key}.rotation"
+            raise InputError(message, f'Choose one: problem.override({{"{key}": "clockwise"}})', problem.file, key)
         return polisher.programme(0, -1 if task.rotation == "clockwise" else 1)
 
     def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:

@@ -312,8 +312,7 @@ def _as_designed(result: DesignResult) -> ProblemFile:
     model = problem.spec
     if model.data.offsets is not None or model.rotation != "either":
         return problem
-    place = f"requirements.{model.requirements.index(model.requirement)}" if model.requirements else "requirement"
-    return problem.override({f"{place}.rotation": "clockwise" if crank_speed(machine) < 0.0 else "counter-clockwise"})
+    return problem.override({f"{model.each[0].key}.rotation": "clockwise" if crank_speed(machine) < 0.0 else "counter-clockwise"})
 
 
 @typed

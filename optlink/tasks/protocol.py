@@ -108,7 +108,7 @@ class DesignTask(ABC, Generic[R]):
     no_starts: ClassVar[str] = "this kind of problem has no starting points"
     """Error message where a number of starting points is given nevertheless."""
     designs: ClassVar[int | None] = None
-    """Default number of distinct designs; None if only one is found."""
+    """Default number of distinct designs of a `SynthesisResult`; None if only one is found."""
     divisible: ClassVar[bool] = False
     """Whether several processes can share a search."""
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack, cast
+from typing import TYPE_CHECKING, Any, Literal, Unpack, cast, overload
 
 from optlink.errors import OPTIONS_NAMED, InputError
 from optlink.execution.options import Execution
@@ -42,6 +42,57 @@ def design_task(problem: ProblemFile) -> DesignTask[Any]:
     return task
 
 
+@overload
+def solve(
+    problem: AnyProblem,
+    backend: str = ...,
+    starts: int | None = ...,
+    seed: int = ...,
+    progress: Progress = ...,
+    *,
+    designs: int | None = ...,
+    track: bool = ...,
+    certify: Literal[True],
+    gap: float = ...,
+    time_limit: float = ...,
+    proving: Proving = ...,
+    rounding: str | Mapping[str, object] | None = ...,
+    **execution: Unpack[Execution],
+) -> SynthesisResult: ...
+@overload
+def solve(
+    problem: AnyProblem,
+    backend: str = ...,
+    starts: int | None = ...,
+    seed: int = ...,
+    progress: Progress = ...,
+    *,
+    designs: int,
+    track: bool = ...,
+    certify: bool | None = ...,
+    gap: float = ...,
+    time_limit: float = ...,
+    proving: Proving = ...,
+    rounding: str | Mapping[str, object] | None = ...,
+    **execution: Unpack[Execution],
+) -> SynthesisResult: ...
+@overload
+def solve(
+    problem: AnyProblem,
+    backend: str = ...,
+    starts: int | None = ...,
+    seed: int = ...,
+    progress: Progress = ...,
+    *,
+    designs: int | None = ...,
+    track: bool = ...,
+    certify: bool | None = ...,
+    gap: float = ...,
+    time_limit: float = ...,
+    proving: Proving = ...,
+    rounding: str | Mapping[str, object] | None = ...,
+    **execution: Unpack[Execution],
+) -> DesignResult: ...
 @typed
 def solve(
     problem: AnyProblem,
@@ -96,7 +147,7 @@ def solve(
     Returns
     -------
     DesignResult
-        `SynthesisResult` or `Balance`, by the kind of problem.
+        `SynthesisResult` or `Balance`, by the kind of problem; with `designs` or `certify=True` a `SynthesisResult`.
 
     Raises
     ------

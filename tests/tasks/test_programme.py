@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import re
 from functools import cache
@@ -203,6 +204,17 @@ def test_what_has_no_single_programme_is_refused(name: str) -> None:
     assert len(error.value.faults) == 1
     for part in REFUSED[name]:
         assert part in str(error.value)
+
+
+def test_the_remedy_for_an_open_rotation_fits_several_requirements() -> None:
+    single = optlink.load("path-closed18-untimed").override({"mechanism.assembly": "left"})
+    tables = {key: value for key, value in single.raw.items() if key != "requirement"}
+    stroke = {"kind": "stroke", "output": "rocker", "stroke": "40 deg"}
+    problem = single.with_tables({**tables, "requirements": [stroke, single.raw["requirement"]]})
+    with pytest.raises(InputError, match=r"requirements\.1\.rotation: .* either direction") as error:
+        optlink.build(problem)
+    [stated] = re.findall(r"override\((.*)\)", str(error.value))
+    assert optlink.build(problem.override(json.loads(stated))).variables
 
 
 @pytest.mark.parametrize("name", ["path-closed18-untimed", "path-arc5", "crank-rocker"])
