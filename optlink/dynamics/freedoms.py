@@ -27,6 +27,8 @@ from optlink.linkage.motion import Motion
 from optlink.linkage.trains import determinant
 from optlink.linkage.vector2d import Array, Value
 
+AWAY = 1e-12  # share of its range by which a drive at rest that nothing presses against its stop is away from it
+
 
 @dataclass(frozen=True)
 class Controller:
@@ -45,7 +47,8 @@ class Controller:
 class Freedom:
     """A drive that moves freely: from a position [rad, m] and speed, under its `effort` or by its `controller`.
 
-    `limits`: rigid end stops, from which it rebounds with `restitution` times its speed.
+    `limits`: end stops, from which it rebounds with `restitution` times its speed; with a `stiffness` [N m/rad, N/m] elastic
+    ones, as those of one drive (`EndStops`).
     """
 
     drive: Drive
@@ -55,6 +58,18 @@ class Freedom:
     controller: Controller | None = None
     limits: tuple[float, float] | None = None
     restitution: float = 0.0
+    stiffness: float = 0.0
+
+    def end(self, position: Value) -> tuple[float, float, Value]:
+        """The nearer stop, the direction out of the range there, and how far the drive is beyond it [rad, m]."""
+        low, high = self.limits or (-np.inf, np.inf)
+        end, out = (high, 1.0) if position - low > high - position else (low, -1.0)
+        return end, out, (position - end) * out
+
+    def spring(self, position: Value) -> Value:
+        """The torque [N m] or force [N] of elastic stops that compress."""
+        low, high = self.limits or (-np.inf, np.inf)
+        return self.stiffness * (np.maximum(low - position, 0.0) - np.maximum(position - high, 0.0)) if self.stiffness else 0.0
 
     @property
     def size(self) -> str:
@@ -76,12 +91,15 @@ def freed(machine: Machine, freedoms: Sequence[Freedom]) -> Machine:
 
 
 class FreeEquations(EquationsOfMotion):
-    """Right-hand side; the state begins with cycle variable and its rate, free coordinates, speeds, and 1 for those at a stop."""
+    """Right-hand side; the state begins with cycle variable and its rate, free coordinates, and speeds.
+
+    Then follow for each coordinate 1 where a stop holds it, and the share of the force of its elastic stop that acts.
+    """
 
     def __init__(self, machine: Machine, freedoms: Sequence[Freedom]) -> None:
         super().__init__(freed(machine, freedoms), None, stops=any(one.limits for one in freedoms))
         self.freedoms, self.count = tuple(freedoms), len(freedoms)
-        self.head = 2 + 3 * self.count
+        self.head = 2 + 4 * self.count
         self.knots, self.hardest = law_knots(machine, 0.0, self.cycle), 0.0
 
     @property
@@ -154,38 +172,43 @@ class FreeEquations(EquationsOfMotion):
     def balance(self, head: Any) -> tuple[Moving, list[Value], list[Value], list[Value], Value]:
         """The motion, accelerations of the free coordinates, their efforts and those of their stops, power of all drives."""
         n, (phi, pace) = self.count, head[:2]
-        q, v, held = head[2 : 2 + n], head[2 + n : 2 + 2 * n], head[2 + 2 * n : self.head]
+        q, v, held, shares = (head[2 + k * n : 2 + (k + 1) * n] for k in range(4))
         angle, ways, efforts = Jet(phi, pace), self.ways(phi, q), self.efforts(Jet(phi, pace), q, v)
+        springs = [share * one.spring(at) for one, at, share in zip(self.freedoms, q, shares, strict=True)]
         needed = required_wrench(self.at(angle, list(map(Jet, q, v)), pace))
         rows, right = list[dict[Any, Value]](), list[Value]()
         for j, masses in enumerate(self.masses(ways)):
             free = 1.0 - held[j]
             rows.append({k: free * mass + float(k == j) * held[j] for k, mass in enumerate(masses)})
-            right.append(free * (efforts[j] - virtual_torque(needed, ways[j])))
+            right.append(free * (efforts[j] + springs[j] - virtual_torque(needed, ways[j])))
         columns: list[Any] = list(range(n))
         whole = determinant(rows, columns)
         bends = [determinant([{**row, k: r} for row, r in zip(rows, right, strict=True)], columns) / whole for k in columns]
         moving = self.at(angle, list(map(Jet, q, v, bends)), pace)
         required = required_wrench(moving)
-        stops = [rest * (virtual_torque(required, way) - own) for rest, way, own in zip(held, ways, efforts, strict=True)]
+        stops = [
+            spring + rest * (virtual_torque(required, way) - own - spring)
+            for spring, rest, way, own in zip(springs, held, ways, efforts, strict=True)
+        ]
         power = virtual_torque(required, self.at(angle, q)) + sum(own * speed for own, speed in zip(efforts, v, strict=True))
         return moving, bends, efforts, stops, power
 
     def rates(self, *head: Value) -> list[Value]:
         """Rates of the cycle variable's rate, of the free coordinates, of works and of velocities of bodies."""
-        moving, bends, _, _, power = self.balance(head)
+        moving, bends, _, stops, power = self.balance(head)
         powers = [power]
         for load in self.machine.loads:
             powers.append(sum((act.power(moving.state(act.body)) for act in load.act(moving)), 0.0))
-        still = [0.0] * self.count
-        speeds = head[2 + self.count : 2 + 2 * self.count]
-        return [0.0, *speeds, *bends, *still, *powers, *[0.0] * self.rigid, *self.accelerations(moving)]
+        still, speeds = [0.0] * (2 * self.count), head[2 + self.count : 2 + 2 * self.count]
+        if self.rigid:  # rigid stops act at an instant, and do no work while they hold a drive
+            powers.append(sum((stop * speed for stop, speed in zip(stops, speeds, strict=True)), 0.0))
+        return [0.0, *speeds, *bends, *still, *powers, *self.accelerations(moving)]
 
     def start(self, angle: float, speed: float) -> Array:
         """The state at the start, at rest against a stop where it is pressed against it."""
         places, speeds = ([getattr(one, key) for one in self.freedoms] for key in ("position", "speed"))
         moving = self.at(Jet(angle, speed), list(map(Jet, places, speeds)), speed)
-        return self.settled(self.begun(np.array([angle, speed, *places, *speeds, *[0.0] * self.count]), moving))
+        return self.settled(self.begun(np.array([angle, speed, *places, *speeds, *[0.0] * (2 * self.count)]), moving))
 
     def coordinates(self, states: Array) -> dict[str, Coordinate]:
         """The free coordinates at states (n, size), by the names of their sizes."""
@@ -199,16 +222,18 @@ class FreeEquations(EquationsOfMotion):
         """The motion at states (n, size)."""
         return self.balance(states[:, : self.head].T)[0], 0.0
 
-    # --- rigid stops -----------------------------------------------------------------------------------------------
+    # --- end stops -------------------------------------------------------------------------------------------------
 
     def marks(self, state: Array) -> list[Mark]:
-        """Impacts, turning points, after which another may follow, and where the force of a stop that holds a drive vanishes."""
+        """Impacts, turning points, after which another may follow, and where a stop that holds a drive releases it."""
         n, marks = self.count, list[Mark]()
         for k, one in enumerate(self.freedoms):
             if one.limits is None:
                 continue
             if state[2 + 2 * n + k]:
-                marks.append((("leave", k, 0.0), partial(self.pressing, k), 0.0))
+                full, pressing = one.spring(float(state[2 + k])), partial(self.pressing, k)
+                marks.append((("leave", k, one.restitution**2), pressing, one.restitution**2 * full))
+                marks += [(("leave", k, 1.0), pressing, full)] if one.stiffness else []
                 continue
             marks += [(("hit", k, end), itemgetter(2 + k), end) for end in one.limits]
             marks.append((("turn", k, 0.0), itemgetter(2 + n + k), 0.0))
@@ -222,50 +247,76 @@ class FreeEquations(EquationsOfMotion):
         """The state after an impact, or where a drive leaves its stop."""
         if not isinstance(event, tuple):
             return state
-        kind, k, end = event
+        (kind, k, what), n = event, self.count
         state = state.copy()
-        if kind == "hit":
-            state = self.rebound(state, k, end)
-        else:  # a drive that turns back has no speed, one that leaves its stop is not held any more
-            state[2 + (2 if kind == "leave" else 1) * self.count + k] = 0.0
+        if kind == "leave":
+            state[2 + 2 * n + k], state[2 + 3 * n + k] = 0.0, what
+            return state if self.freedoms[k].stiffness else self.settled(state)
+        if kind == "turn":
+            state[2 + n + k] = 0.0
+        else:
+            state[2 + k] = what
         return self.settled(state)
 
     def settled(self, state: Array) -> Array:
-        """The state in which drives at rest at their stops are held there, where they are pressed against them."""
+        """The state in which drives that press against their stops rebound or are held, and elastic stops act as they move."""
         n, state = self.count, state.copy()
         for k, one in [*enumerate(self.freedoms)] * 2:
-            low, high = one.limits or (-np.inf, np.inf)
-            end, out = (high, 1.0) if state[2 + k] - low > high - state[2 + k] else (low, -1.0)
-            if one.limits is None or abs(state[2 + k] - end) > ROUNDING * (high - low):
+            if one.limits is None:
+                continue
+            end, out, beyond = one.end(float(state[2 + k]))
+            if one.stiffness:
+                self.compress(state, k, out, beyond)
+                continue
+            span = one.limits[1] - one.limits[0]
+            if abs(beyond) > ROUNDING * span:
                 continue
             if state[2 + n + k] * out > 0.0:
                 state = self.rebound(state, k, end)
             if state[2 + n + k] == 0.0:
                 state[2 + k], state[2 + 2 * n + k] = end, 0.0
-                state[2 + 2 * n + k] = float(self.balance(state[: self.head].tolist())[1][k] * out > 0.0)
+                if self.bend(state, k) * out > 0.0:
+                    state[2 + 2 * n + k] = 1.0
+                else:  # a force that begins with zero may still press it against the stop, which then is an event
+                    state[2 + k] = end - out * AWAY * span
         return state
+
+    def bend(self, state: Array, k: int) -> float:
+        """The acceleration of a free coordinate."""
+        return float(self.balance(state[: self.head].tolist())[1][k])
+
+    def compress(self, state: Array, k: int, out: float, beyond: float) -> None:
+        """Set the share of the force of an elastic stop by the sense of motion; at rest it holds what the shares enclose."""
+        n, back = self.count, self.freedoms[k].restitution ** 2
+        held, share, way = 2 + 2 * n + k, 2 + 3 * n + k, out * float(state[2 + n + k])
+        state[held], state[share] = 0.0, 1.0 if way >= 0.0 else back
+        if way == 0.0 < beyond and self.bend(state, k) * out <= 0.0:
+            state[share] = back
+            if self.bend(state, k) * out >= 0.0:
+                state[held], state[share] = 1.0, 0.0
 
     def rebound(self, state: Array, k: int, end: float) -> Array:
         """Reverse a free coordinate at its stop: the impulse changes the other free speeds too, and the prescribed drives resist.
 
-        A drive held at its own stop stays there unless the impulse pulls it away.
+        A drive held at its own rigid stop stays there unless the impulse pulls it away.
         """
         n, own = self.count, self.freedoms[k]
         state = state.copy()
+        state[2 + 2 * n : 2 + 3 * n] *= [not one.stiffness for one in self.freedoms]
         state[2 + k], before = end, float(state[2 + n + k])
         self.hardest = max(self.hardest, abs(before))
         after = -own.restitution * before if own.restitution * abs(before) > STILL * self.hardest else 0.0
         ways = self.ways(float(state[0]), state[2 : 2 + n].tolist())
         masses = np.array(self.masses(ways), dtype=float)
         while True:
-            free = np.flatnonzero(state[2 + 2 * n : self.head] == 0.0)
+            free = np.flatnonzero(state[2 + 2 * n : 2 + 3 * n] == 0.0)
             response = np.zeros(n)
             response[free] = np.linalg.solve(masses[np.ix_(free, free)], 1.0 * (free == k))
             change = response * (after - before) / response[k]
             impulses = masses @ change
             middles = [0.5 * sum(one.limits or ()) for one in self.freedoms]
             away = impulses * (state[2 : 2 + n] - middles) > 0.0
-            pulled = np.flatnonzero(away & (state[2 + 2 * n : self.head] == 1.0))
+            pulled = np.flatnonzero(away & (state[2 + 2 * n : 2 + 3 * n] == 1.0))
             if not pulled.size:
                 break
             state[2 + 2 * n + pulled] = 0.0

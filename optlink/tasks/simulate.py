@@ -294,11 +294,8 @@ def freedoms_of(problem: ProblemFile, machine: Machine) -> list[Freedom]:
         section = sections[drive.name]
         if not section.free:
             continue
-        at, own = as_jet(drive.value(pose)), f"{key}.{drive.name}" if model.drives else key
+        at = as_jet(drive.value(pose))
         stops, control = section.stops or StopsSection(), section.controller
-        if stops.stiffness is not None:
-            message = "elastic end stops of drives that move freely beside others are not supported"
-            raise InputError(message, "Leave stiffness out, for rigid ones", problem.file, f"{own}.stops.stiffness")
         limits = (machine.sizes[str(end)] for end in drive.stroke) if drive.size else None
         if section.range is not None:
             limits = (end.value for end in section.range)
@@ -308,7 +305,8 @@ def freedoms_of(problem: ProblemFile, machine: Machine) -> list[Freedom]:
             of = Controller(control.proportional.value, gains[0] or 0.0, gains[1] or math.inf, control.feedforward)
         speed = at.rate if section.initial_speed is None else section.initial_speed.value
         ends = None if limits is None else (float(next(limits)), float(next(limits)))
-        freedoms.append(Freedom(drive, float(at.value), float(speed), section.effort, of, ends, stops.restitution))
+        stiff = 0.0 if stops.stiffness is None else stops.stiffness.value
+        freedoms.append(Freedom(drive, float(at.value), float(speed), section.effort, of, ends, stops.restitution, stiff))
     if not np.linalg.eigvalsh(FreeEquations(machine, freedoms).inertia)[0] > 0.0:
         message = "the machine has no inertia, so the motion of its free drives is not determined"
         raise InputError(message, "Give the bodies masses", problem.file, "bodies")

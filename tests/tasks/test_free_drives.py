@@ -154,6 +154,76 @@ def test_elbow_is_held_at_its_stop_until_the_arm_throws_it_off():
     balanced(run)
 
 
+def test_elbow_at_rest_at_its_stop_does_not_pass_it():
+    """The law begins with no acceleration, so that nothing presses the elbow against its stop yet."""
+    changes = {**FREE, "drives.elbow.start": "0 deg", "drives.elbow.torque": "0 N*m", "drives.elbow.range": ["0 deg", "90 deg"]}
+    run = simulated("two-link-arm", {**changes, "gravity": "0 m/s^2"}, duration=0.45, rows=90)
+    time = run["time_s"]
+    needed = (B + C) * swing(time)[2]
+    np.testing.assert_allclose(run["elbow.stop_torque_Nm"], np.maximum(needed, 0.0), atol=1e-9)
+    assert np.all(relative(run)[time > 0.26] > 0.0)
+    balanced(run)
+
+
+# --- elastic stops: going out they push with the square of the restitution of their force going in ------------------------------
+
+STIFF, BACK = 60.0, 0.6**2
+ELASTIC = {
+    "drives.elbow.torque": "0 N*m",
+    "drives.elbow.range": ["-30 deg", "60 deg"],
+    "drives.elbow.stops": {"stiffness": f"{STIFF} N*m/rad", "restitution": 0.6},
+}
+
+
+def test_elastic_stop_of_a_free_elbow_has_the_closed_form_of_half_oscillations():
+    held = {**FREE, **ELASTIC, "drives.shoulder.law": None, "drives.elbow.initial_speed": "2 rad/s", "gravity": "0 m/s^2"}
+    run = simulated("two-link-arm", held, duration=0.5, rows=500)
+    time, q = run["time_s"], relative(run)
+    frequency, end, hit = math.sqrt(STIFF / B), 60.0 * DEGREE, 20.0 * DEGREE / 2.0
+    inmost, out = hit + 0.5 * math.pi / frequency, hit + 0.5 * math.pi * (1.0 + 1.0 / 0.6) / frequency
+    into, back, after = (time > hit) & (time < inmost), (time > inmost) & (time < out), time > out
+    np.testing.assert_allclose(q[into], end + 2.0 / frequency * np.sin(frequency * (time[into] - hit)), atol=1e-9)
+    np.testing.assert_allclose(q[back], end + 2.0 / frequency * np.cos(0.6 * frequency * (time[back] - inmost)), atol=1e-9)
+    np.testing.assert_allclose(q[after], end - 1.2 * (time[after] - out), atol=1e-9)
+    np.testing.assert_allclose(run["elbow.stop_torque_Nm"][back], -STIFF * BACK * (q[back] - end), atol=1e-7)
+    assert run.figures["stops.work_J"] == pytest.approx(-0.5 * B * (2.0**2 - 1.2**2), rel=1e-9)
+    balanced(run)
+
+
+def test_loose_arm_on_elastic_stops_by_an_own_integration():
+    run = simulated("two-link-arm", {**LOOSE, **ELASTIC}, duration=0.36, rows=60)
+
+    def rates(_, y):
+        low, high = min(y[1] + 30.0 * DEGREE, 0.0), max(y[1] - 60.0 * DEGREE, 0.0)
+        stop = -STIFF * (low * (1.0 if y[3] < 0.0 else BACK) + high * (1.0 if y[3] > 0.0 else BACK))
+        return [*y[2:], *np.linalg.solve(masses(y[1]), np.array([9.0, stop]) - bias(*y))]
+
+    tight = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-11, "max_step": 1e-3}
+    solved = solve_ivp(rates, (0.0, 0.36), [0.0, 40.0 * DEGREE, 0.0, 0.0], t_eval=run["time_s"], **tight).y
+    np.testing.assert_allclose(np.unwrap(run["upper.angle_rad"]), solved[0], atol=1e-6)
+    np.testing.assert_allclose(relative(run), solved[1], atol=1e-6)
+    assert np.min(relative(run)) < -40.0 * DEGREE
+    assert run.figures["stops.work_J"] < -0.05
+    balanced(run)
+
+
+def test_elastic_stop_holds_the_forearm_until_the_shoulder_throws_it_off():
+    """At rest the stop pushes with any force from that of going out to that of going in."""
+    laws = [{"time": "2 s"}, {"time": "0.5 s", "to": "90 deg", "law": "3-4-5"}, {"time": "1 s"}]
+    changes = {**FREE, **ELASTIC, "drives.shoulder.law": laws, "drives.shoulder.start": "0 deg"}
+    changes["drives.elbow.start"] = "-25 deg"
+    run = simulated("two-link-arm", changes, duration=2.6, rows=260)
+    time, q, stop = run["time_s"], relative(run), run["elbow.stop_torque_Nm"]
+    rests = (time > 1.5) & (time < 1.99)
+    depth, weight = -30.0 * DEGREE - q[rests][0], 1.5 * G * 0.1 * math.cos(q[rests][0])
+    np.testing.assert_allclose(q[rests], q[rests][0], atol=1e-12)
+    np.testing.assert_allclose(stop[rests], weight, rtol=1e-9)
+    assert BACK * STIFF * depth < weight < STIFF * depth
+    assert np.max(q) > 0.0
+    assert np.all(stop[(q > -30.0 * DEGREE) & (q < 60.0 * DEGREE)] == 0.0)
+    balanced(run)
+
+
 # --- controllers ------------------------------------------------------------------------------------------------------------
 
 GAINS = {"proportional": "200 N*m/rad", "derivative": "10 N*m*s/rad"}
@@ -319,9 +389,9 @@ def test_loads_that_jump_and_a_missing_duration_are_refused():
     brake = {"on": "fore", "torque": "1 N*m", "acts": "opposing"}
     with pytest.raises(InputError, match=r"loads\.brake.*not supported.*tanh"):
         simulated("two-link-arm", {**FREE, "drives.elbow.torque": "0 N*m", "loads.brake": brake}, duration=0.1)
-    elastic = {"drives.elbow.range": ["0 deg", "90 deg"], "drives.elbow.stops": {"stiffness": "1 kN*m/rad"}}
-    with pytest.raises(InputError, match=r"elastic end stops.*not supported"):
-        simulated("two-link-arm", {**FREE, "drives.elbow.torque": "0 N*m", **elastic}, duration=0.1)
+    soft = {"drives.elbow.range": ["0 deg", "90 deg"], "drives.elbow.stops": {"stiffness": "0 N*m/rad"}}
+    with pytest.raises(InputError, match=r"stops\.stiffness.*a stop needs a stiffness"):
+        simulated("two-link-arm", {**FREE, "drives.elbow.torque": "0 N*m", **soft}, duration=0.1)
     with pytest.raises(InputError, match="the duration of the motion is not known"):
         simulated("two-link-arm", {**LOOSE, "drives.elbow.torque": "0 N*m"})
     with pytest.raises(InputError, match="no inertia"):

@@ -188,7 +188,9 @@ class StopsSection(Section):
         Number, where(lambda e: 0.0 <= e <= 1.0, "a coefficient of restitution lies between 0 and 1", "Give for example 0.4")
     ] = 0.0
     """Coefficient of restitution: the speed after an impact over that before it."""
-    stiffness: _Stiffness | None = None
+    stiffness: (
+        Annotated[_Stiffness, where(lambda k: k > 0.0, "a stop needs a stiffness", "Leave it out for rigid stops")] | None
+    ) = None
     """Stiffness of the stops, which otherwise are rigid; they give back the square of the restitution of the energy."""
 
 
