@@ -191,7 +191,7 @@ def test_what_is_advised_can_be_installed():
     assert {place for place, _ in advised} == {".", "optlink-VERSION-py3-none-any.whl"}
     assert {extra for _, extra in advised} <= extras.keys()
     named = {extra for text in texts for extra in re.findall(r"""extra_remedy\(["'](\w+)["']\)""", text)}
-    assert named == {"dask", "fast", "frame", "notebook", "studio"}
+    assert named == {"cad", "dask", "fast", "frame", "notebook", "studio"}
     assert named <= extras.keys()
 
 

@@ -66,7 +66,7 @@ def export(
         Path,
         option(
             "FILE",
-            "File to write; its ending selects: .dxf, .svg, .pdf, .stl, .3mf, .csv, .json, .xml (MuJoCo), .txt (PMKS+).",
+            "File to write; its ending selects: .dxf, .svg, .pdf, .stl, .3mf, .step, .csv, .json, .xml (MuJoCo), .txt (PMKS+).",
             "-o",
             "--out",
         ),
@@ -75,8 +75,8 @@ def export(
         str | None,
         option(
             "WORD",
-            "What to write: drawing (.dxf, .svg), parts to cut (.dxf, .svg) or print (.stl, .3mf), assembly (.stl, .3mf), "
-            "sheet for the workshop (.pdf, .dxf).",
+            "What to write: drawing (.dxf, .svg), parts to cut (.dxf, .svg) or as solids (.stl, .3mf, .step), "
+            "assembly (.stl, .3mf, .step), sheet for the workshop (.pdf, .dxf).",
             "--content",
         ),
     ] = None,

@@ -104,7 +104,8 @@ def export(
     source : Result, ProblemFile, str or Path
         Result of `solve`, `validate` or `analyze`; or a problem, which is solved first, or analysed if it has nothing to design.
     file : str or Path
-        File to write; its suffix selects the format: .dxf, .svg, .pdf, .stl, .3mf, .csv, .json, .xml (MuJoCo) or .txt (PMKS+).
+        File to write; its suffix selects the format: .dxf, .svg, .pdf, .stl, .3mf, .step, .csv, .json, .xml (MuJoCo) or .txt
+        (PMKS+).
     at : float [rad] or [m], optional
         Crank angle of the drawing; of a slide or cylinder that drives, its slide or length. Default: the start of the motion.
     hole, width : float [m], optional
@@ -114,8 +115,8 @@ def export(
     even_invalid : bool
         Write the design even if it is not valid.
     content : str, optional
-        "drawing" (.dxf, .svg), "parts" (.dxf, .svg, .stl, .3mf), "assembly" (.stl, .3mf) or "sheet" (.pdf, .dxf); default: the
-        first for the suffix.
+        "drawing" (.dxf, .svg), "parts" (.dxf, .svg, .stl, .3mf, .step), "assembly" (.stl, .3mf, .step) or "sheet" (.pdf, .dxf);
+        default: the first for the suffix.
 
     Returns
     -------

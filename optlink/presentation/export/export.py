@@ -163,24 +163,26 @@ def _cutting(model: ReportModel, cycle: Analysis, path: Path, options: Options) 
 
 def _printing(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     """Write the parts as solids on a plate."""
-    from optlink.presentation.export.printing import WRITERS, on_plate
+    from optlink.presentation.export.printing import KERNELS
     from optlink.presentation.parts.model import part_set
 
-    solids = [*on_plate(part_set(cycle, options.hole, options.width))]
+    kernel = KERNELS[path.suffix.lower()]()
+    solids = [*kernel.on_plate(part_set(cycle, options.hole, options.width))]
     with whole(path) as temporary:
-        WRITERS[path.suffix.lower()](solids, model.problem.model.title, temporary)
+        kernel.write(solids, model.problem.model.title, temporary)
 
 
 def _assembly(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     """Write the parts and pins as solids in their layers, at a crank angle."""
-    from optlink.presentation.export.printing import WRITERS, assembled
+    from optlink.presentation.export.printing import KERNELS
     from optlink.presentation.parts.layers import stacked
     from optlink.presentation.parts.model import part_set
 
+    kernel = KERNELS[path.suffix.lower()]()
     motion = sweep(cycle.machine.mechanism, cycle.machine.sizes, [place_of(cycle, options.at)])
-    solids = [*assembled(stacked(part_set(cycle, options.hole, options.width)), motion)]
+    solids = [*kernel.assembled(stacked(part_set(cycle, options.hole, options.width)), motion)]
     with whole(path) as temporary:
-        WRITERS[path.suffix.lower()](solids, model.problem.model.title, temporary)
+        kernel.write(solids, model.problem.model.title, temporary)
 
 
 def _sheet(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
@@ -261,6 +263,7 @@ FORMATS: dict[str, dict[str, Writer]] = {
     ".pdf": {"sheet": _sheet},
     ".stl": {"parts": _printing, "assembly": _assembly},
     ".3mf": {"parts": _printing, "assembly": _assembly},
+    ".step": {"parts": _printing, "assembly": _assembly},
     ".csv": {"motion": _csv},
     ".json": {"geometry": _json},
     ".xml": {"model": _foreign},

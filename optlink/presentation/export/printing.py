@@ -1,10 +1,13 @@
-"""STL and 3MF files [mm] of closed solids: the parts beside each other on a plate, or the assembly in its layers."""
+"""Files of closed solids [mm], STL and 3MF here: the parts beside each other on a plate, or the assembly in its layers."""
 
 import struct
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from html import escape
 from pathlib import Path
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -13,7 +16,7 @@ from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Array
 from optlink.presentation.parts.layers import Stacked
 from optlink.presentation.parts.layout import laid_out
-from optlink.presentation.parts.model import MM, PartSet, Pin, placed
+from optlink.presentation.parts.model import MM, FlatPart, PartSet, Pin, placed
 from optlink.presentation.parts.solids import Solid, plate, stud
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
@@ -23,22 +26,39 @@ MODEL = "3D/3dmodel.model"
 LONG_AGO = (1980, 1, 1, 0, 0, 0)  # the same design gives the same file
 
 
-def on_plate(parts: PartSet) -> Iterator[Solid]:
-    """Yield every part beside the others, flat on z = 0."""
-    for one in laid_out(parts.parts.values()).parts:
-        yield plate(one.part).moved(np.append(one.shift, 0.0))
+class Movable(Protocol):
+    """A named body, which can be put anywhere."""
+
+    def moved(self, shift: Array, angle: float = 0.0) -> Self:
+        """Return it turned by an angle [rad] about the z axis, then shifted by a vector (3,) [mm]."""
 
 
-def assembled(stack: Stacked, motion: Motion) -> Iterator[Solid]:
-    """Yield every part and pin of the assembly at the first position of a motion."""
-    for name, part in stack.parts.parts.items():
-        place, angle = np.zeros(2), 0.0
-        if name != FRAME:
-            place = MM * motion.position(motion.mechanism.origin(name))[0]
-            angle = float(np.asarray(motion.body_angle(name).value)[0])
-        yield plate(part).moved(np.append(place, stack.heights[name]), angle)
-    for pin in stack.parts.pins:
-        yield stud(pin, *stack.span(pin)).moved(np.append(_axis(pin, motion), 0.0))
+B = TypeVar("B", bound=Movable)
+
+
+@dataclass(frozen=True)
+class Kernel(Generic[B]):
+    """What makes bodies of parts and of pins between two heights [mm], and writes them to a file with a title."""
+
+    plate: Callable[[FlatPart], B]
+    stud: Callable[[Pin, float, float], B]
+    write: Callable[[Sequence[B], str, Path], None]
+
+    def on_plate(self, parts: PartSet) -> Iterator[B]:
+        """Yield every part beside the others, flat on z = 0."""
+        for one in laid_out(parts.parts.values()).parts:
+            yield self.plate(one.part).moved(np.append(one.shift, 0.0))
+
+    def assembled(self, stack: Stacked, motion: Motion) -> Iterator[B]:
+        """Yield every part and pin of the assembly at the first position of a motion."""
+        for name, part in stack.parts.parts.items():
+            place, angle = np.zeros(2), 0.0
+            if name != FRAME:
+                place = MM * motion.position(motion.mechanism.origin(name))[0]
+                angle = float(np.asarray(motion.body_angle(name).value)[0])
+            yield self.plate(part).moved(np.append(place, stack.heights[name]), angle)
+        for pin in stack.parts.pins:
+            yield self.stud(pin, *stack.span(pin)).moved(np.append(_axis(pin, motion), 0.0))
 
 
 def _axis(pin: Pin, motion: Motion) -> Array:
@@ -84,5 +104,17 @@ def threemf(solids: Sequence[Solid], title: str, path: Path) -> None:
 
 
 _KIND = "application/vnd.ms-package.3dmanufacturing-3dmodel"
-WRITERS: dict[str, Callable[[Sequence[Solid], str, Path], None]] = {".stl": stl, ".3mf": threemf}
-"""What writes solids, by the ending of the file."""
+
+
+def _mesh(write: Callable[[Sequence[Solid], str, Path], None]) -> Kernel[Solid]:
+    return Kernel(plate, stud, write)
+
+
+def _exact() -> Kernel[Any]:
+    from optlink.presentation.export import step
+
+    return Kernel(step.plate, step.stud, step.step)
+
+
+KERNELS: dict[str, Callable[[], Kernel[Any]]] = {".stl": partial(_mesh, stl), ".3mf": partial(_mesh, threemf), ".step": _exact}
+"""What makes and writes solids, by the ending of the file."""

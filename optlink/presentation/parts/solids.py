@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.export.dxf import Vertex
@@ -49,13 +49,10 @@ def plate(part: FlatPart) -> Solid:
 
 def stud(pin: Pin, low: float, high: float) -> Solid:
     """Return a pin through parts from one height to another [mm], with its heads beyond."""
-    r, head = 0.5 * pin.diameter, 0.5 * pin.head
-    profile = [(r, low), (r, high)]
-    if pin.height:
-        profile = [(head, low - pin.height), (head, low), *profile, (head, high), (head, high + pin.height)]
+    steps = profile(pin, low, high)
     turns = TURN * np.arange(CHORDS) / CHORDS
-    rings = [np.column_stack([radius * np.cos(turns), radius * np.sin(turns), np.full(CHORDS, z)]) for radius, z in profile]
-    places = np.concatenate([*rings, [[0.0, 0.0, profile[0][1]], [0.0, 0.0, profile[-1][1]]]])
+    rings = [np.column_stack([radius * np.cos(turns), radius * np.sin(turns), np.full(CHORDS, z)]) for radius, z in steps]
+    places = np.concatenate([*rings, [[0.0, 0.0, steps[0][1]], [0.0, 0.0, steps[-1][1]]]])
     around = np.arange(CHORDS)
     beside = np.roll(around, -1)
     walls = []
@@ -69,6 +66,19 @@ def stud(pin: Pin, low: float, high: float) -> Solid:
     return Solid(f"pin {pin.name}", places, np.concatenate(walls))
 
 
+def profile(pin: Pin, low: float, high: float) -> list[tuple[float, float]]:
+    """Return radius and height [mm] of the corners of a pin through parts from one height to another, upwards."""
+    r, head = 0.5 * pin.diameter, 0.5 * pin.head
+    steps = [(r, low), (r, high)]
+    return [(head, low - pin.height), (head, low), *steps, (head, high), (head, high + pin.height)] if pin.height else steps
+
+
+def middle(begin: ArrayLike, end: ArrayLike, bulge: float) -> Array:
+    """Return the centre (2,) of an arc."""
+    x, y = np.subtract(end, begin)
+    return np.asarray(0.5 * np.add(begin, end) + 0.25 * (1.0 / bulge - bulge) * np.array([-y, x]))
+
+
 def polygon(outline: Sequence[Vertex], around: bool = False) -> Array:
     """Return corners (n, 2) of an outline with chords in place of its arcs, or with tangents around them."""
     corners: list[Array] = []
@@ -78,13 +88,12 @@ def polygon(outline: Sequence[Vertex], around: bool = False) -> Array:
         if bulge == 0.0:
             continue
         turned = 4.0 * math.atan(bulge)
-        chord = end - begin
-        middle = 0.5 * (begin + end) + 0.25 * (1.0 / bulge - bulge) * np.array([-chord[1], chord[0]])
+        centre = middle(begin, end, bulge)
         count = max(1, math.ceil(turned / TURN * CHORDS - 1e-9))
         angles = turned * (np.arange(count) + 0.5 if around else np.arange(1, count)) / count
-        arm = (begin - middle) / (math.cos(0.5 * turned / count) if around else 1.0)
+        arm = (begin - centre) / (math.cos(0.5 * turned / count) if around else 1.0)
         turns = np.column_stack([np.cos(angles), np.sin(angles)])
-        corners += [*(middle + np.column_stack([turns @ (arm * [1.0, -1.0]), turns @ arm[::-1]]))]
+        corners += [*(centre + np.column_stack([turns @ (arm * [1.0, -1.0]), turns @ arm[::-1]]))]
     return np.array(corners)
 
 
