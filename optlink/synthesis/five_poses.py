@@ -15,7 +15,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
+from decimal import Context, Decimal, Inexact, InvalidOperation, localcontext
 from typing import Any
 
 import numpy as np
@@ -23,31 +23,41 @@ from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import cosine_ranges
 from optlink.linkage.vector2d import TURN, Array
+from optlink.synthesis.decimal_algebra import (
+    Matrix,
+    characteristic_polynomial,
+    cos_sin,
+    divided,
+    null_space,
+    precise,
+    real_roots,
+)
 
 POSES = 5
-TRIALS = 6  # pencils of different linear forms that are solved while roots are missing or clustered
-REAL, NEARLY_REAL = 1e-9, 1e-5  # imaginary parts of normalised coordinates: of a real root, and of one that may be real
 INFINITE = 1e-9  # homogeneous coordinate, relative to the others and the largest displacement, that counts as zero
-SAME = 1e-9  # distance of normalised roots that are one root
-SPECIAL = 1e-10  # relative size of coefficients that vanish for special poses
-RESIDUAL = 1e-10  # largest residual of a root, relative to the sizes of its terms
-ROUNDING = Fraction(1, 2**51)  # relative uncertainty of the coefficients, which the certificate allows for
+SAME = 1e-9  # distance over which Newton steps may correct a root that is certified
+SPECIAL = 1e-10  # relative size of quantities that vanish for special poses
+DOUBTFUL = 1e-6  # last pivot of the minors below which the poses may be special within their rounding
+ROUNDING = 2.0**-51  # relative uncertainty of coefficients in doubles
+EXACT = Decimal("1e-60")  # that of coefficients in decimals for the numbers as given
+MAX_DIGITS = 4000  # of products in exact arithmetic, which have some hundreds
 
 REPEATED = "poses {} and {} are the same: the four different poses have infinitely many dyads"
 TRANSLATED = "the body does not turn: each of its points describes the same curve, so a dyad fits all points or none"
 ONE_CENTRE = "the body turns about one point in all poses: a pin there does it, and every dyad fits"
 TRAMMEL = "infinitely many points of the body run on straight lines, as in an elliptic trammel: two of them are two sliders"
 INVERTED = "infinitely many lines of the body pass through fixed points, as in an inverted elliptic trammel"
+NO_CIRCLE = "the body turns in pose {} only: no link leads through the others, as they lie neither on a circle nor on a line"
+CIRCLE = "the body turns in pose {} only, and the others lie on a circle or a line: infinitely many links lead through them"
+FOUR_CENTRE = "in all poses but {} the body turns about one point: infinitely many links join that point to the frame"
+TWO_ANGLES = "the body has only two different angles, which is not supported: change one angle by 0.001 deg"
 MANY = "the poses are in special positions: infinitely many dyads pass through them"
 
-_PERMUTATIONS = np.zeros((3, 3, 3))
-for _order in itertools.permutations(range(3)):
-    _PERMUTATIONS[_order] = np.linalg.det(np.eye(3)[list(_order)])
+_PERMUTATIONS = [(order, round(float(np.linalg.det(np.eye(3)[list(order)])))) for order in itertools.permutations(range(3))]
 _CUBIC = sorted({tuple(sorted(index)) for index in np.ndindex(3, 3, 3)})
 _QUADRATIC = sorted({tuple(sorted(index)) for index in np.ndindex(3, 3)})
 _PLACE = {index: _CUBIC.index(tuple(sorted(index))) for index in np.ndindex(3, 3, 3)}
-_UNFOLD = np.array([[_PLACE[k, *pair] for pair in _QUADRATIC] for k in range(3)])  # x_k times each quadratic monomial
-_AT_INFINITY = [k for k, index in enumerate(_CUBIC) if 2 not in index]
+_UNFOLD = [[_PLACE[k, *pair] for pair in _QUADRATIC] for k in range(3)]  # x_k times each quadratic monomial
 
 Complex = NDArray[np.complex128]
 
@@ -57,7 +67,7 @@ class Dyad:
     """A point of the body and a pivot of the frame at constant distance in all poses, both homogeneous (3,), real.
 
     The point is given in the fixed plane, as it lies at the first pose; lengths in metres. `certified`: proven to be a
-    real root of its equations, alone in its neighbourhood, for all coefficients within their rounding.
+    real root of the equations of the poses as given, alone in its neighbourhood.
     """
 
     point: Array
@@ -100,51 +110,60 @@ class FivePoses:
 def equations(places: Complex, angles: Array) -> tuple[Array, Array]:
     """Return the matrices (poses - 1, 3, 3) of the bilinear equations point @ Q @ pivot = 0, and bounds of their entries."""
     d, turn = places[1:] - places[0], angles[1:] - angles[0]
-    rotation, tau = np.exp(1j * turn), 2j * np.sin(0.5 * turn) * np.exp(0.5j * turn)
-    carried, far, turned = np.conj(d) * rotation, np.abs(d), np.abs(tau)
-    q = np.array([[-tau.real, -tau.imag, carried.real], [tau.imag, -tau.real, -carried.imag], [-d.real, -d.imag, 0.5 * far**2]])
-    bound = np.array([[turned, turned, far], [turned, turned, far], [far, far, 0.5 * far**2]])
-    size = np.linalg.norm(q, axis=(0, 1))
-    return np.moveaxis(q / size, 2, 0), np.moveaxis(bound / size, 2, 0)
+    tau = 2j * np.sin(0.5 * turn) * np.exp(0.5j * turn)
+    q = np.moveaxis(np.array(_matrix(d.real, d.imag, tau.real, tau.imag)), 2, 0)
+    far, turned = np.abs(d), np.abs(tau)
+    bound = np.moveaxis(np.array([[turned, turned, far], [turned, turned, far], [far, far, 0.5 * far**2]]), 2, 0)
+    size = np.linalg.norm(q, axis=(1, 2))[:, None, None]
+    return q / size, bound / size
+
+
+def _matrix(x: Any, y: Any, tau_x: Any, tau_y: Any) -> list[list[Any]]:
+    """Return Q of a displacement (x, y) with tau = rotation - 1, in doubles or decimals."""
+    c = tau_x + 1
+    return [[-tau_x, -tau_y, x * c + y * tau_y], [tau_y, -tau_x, y * c - x * tau_y], [-x, -y, (x * x + y * y) / 2]]
+
+
+def _decimals(places: Complex, angles: Array, size: float) -> list[Matrix]:
+    """Return the matrices of the equations in decimals, for the numbers as given; lengths in units of `size`."""
+    matrices, (c0, s0) = [], cos_sin(float(angles[0]))
+    for d, angle in zip((places[1:] - places[0]).tolist(), angles[1:].tolist(), strict=True):
+        c, s = cos_sin(angle)
+        x, y = Decimal(d.real) / Decimal(size), Decimal(d.imag) / Decimal(size)
+        matrices.append(_matrix(x, y, c * c0 + s * s0 - 1, s * c0 - c * s0))
+    return matrices
 
 
 def dyads(places: Sequence[complex] | Complex, angles: Sequence[float] | Array) -> FivePoses:
-    """Return all dyads of five poses: positions x + iy [m] of a point of the body, and angles [rad] of the body."""
+    """Return all dyads of five poses: positions x + iy [m] of a point of the body, and angles [rad] of the body.
+
+    All is computed in 80 digits, so that dyads that nearly coincide are separated.
+    """
     z, turn = np.asarray(places, dtype=complex), np.asarray(angles, dtype=float)
     size = float(np.max(np.abs(z - z[0]))) or 1.0
     scaled = (z - z[0]) / size
-    if sentence := special(scaled, turn):
+    if sentence := special(scaled, turn) or _special_five(scaled, turn):
         return FivePoses(special=sentence)
-    q, bound = equations(scaled, turn)
-    cubics, inverse = _minors(q), _minors(np.swapaxes(q, 1, 2))
-    for part, sentence in ((cubics, TRAMMEL), (inverse, INVERTED)):
-        if np.linalg.norm(part[:, _AT_INFINITY]) <= SPECIAL * np.linalg.norm(part):
-            return FivePoses(special=sentence)
-    if any(np.linalg.svd(part, compute_uv=False)[-1] <= SPECIAL * 1e-3 for part in (cubics, inverse)):
-        return FivePoses(special=MANY)
-    found: list[tuple[Complex, Complex]] = []
-    for trial in range(TRIALS):
-        for start in _roots(cubics, trial):
-            for near in _starts(start):
-                root = _refined(q, near)
-                if root is not None and all(_distance(root, other) > SAME for other in found):
-                    found.append(root)
-        doubtful = any(REAL < _imaginary(root) <= NEARLY_REAL for root in found)
-        if len(found) >= 4 and not doubtful:
-            break
-    if len(found) > 4:
-        return FivePoses(special=MANY)
-    real = []
-    for point, pivot in found:
-        if _imaginary((point, pivot)) <= REAL:
-            proven = certified(q, bound, point.real, pivot.real)
-            here, there = (np.array([part.real[0] * size, part.real[1] * size, part.real[2]]) for part in (point, pivot))
-            shift = [z[0].real, z[0].imag]
-            here[:2] += here[2] * np.array(shift)
-            there[:2] += there[2] * np.array(shift)
+    with precise():
+        q = _decimals(z, turn, size)
+        null, pivot = null_space(_minors(q), 4)
+        if pivot < DOUBTFUL and _within_rounding(q, z, turn, size, pivot):
+            return FivePoses(special=MANY)
+        roots, other = _roots(null)
+        bound = [[[Decimal(float(entry)) for entry in row] for row in one] for one in equations(scaled, turn)[1]]
+        real = []
+        for root, order in roots:
+            pair = _point(q, root), root
+            if max(abs(part[2]) for part in pair) <= INFINITE:  # of two sliders, between which the body would not turn
+                other += order
+                continue
+            proven = order == 1 and certified(q, bound, *pair, rounding=EXACT)
+            here, there = (np.array([float(entry) for entry in part]) * [size, size, 1.0] for part in pair)
+            for part in (here, there):
+                part[:2] += part[2] * np.array([z[0].real, z[0].imag])
             real.append(Dyad(here, there, proven, size))
     real.sort(key=lambda dyad: not dyad.certified)
-    return FivePoses(tuple(real), sum(_imaginary(root) > REAL for root in found))
+    return FivePoses(tuple(real), other)
 
 
 def special(places: Complex, angles: Array) -> str:
@@ -156,132 +175,155 @@ def special(places: Complex, angles: Array) -> str:
     if np.max(np.abs(tau)) <= SPECIAL:
         return TRANSLATED
     centre = -np.vdot(tau, d) / np.vdot(tau, tau)
-    return ONE_CENTRE if np.max(np.abs(d + centre * tau)) <= SPECIAL else ""
+    return ONE_CENTRE if np.max(np.abs(d + centre * tau)) <= SPECIAL * max(1.0, abs(centre)) * np.max(np.abs(tau)) else ""
 
 
-def _minors(q: Array) -> Array:
-    """Return the coefficients (4, 10) of the 3 x 3 minors of the rows Q f, normalised."""
+def _special_five(places: Complex, angles: Array) -> str:
+    """Return a sentence about five poses of which four are special, or all are those of a trammel; empty for others.
+
+    Points that run on straight lines solve Re(tau p + d q) = 0, with four real unknowns p, q; a trammel has two solutions.
+    """
+    for k in range(POSES):
+        four = np.delete(places, k)
+        sentence = special(four, np.delete(angles, k))
+        if sentence == TRANSLATED:
+            ratio = (four[0] - four[2]) * (four[1] - four[3]) / ((four[0] - four[3]) * (four[1] - four[2]))
+            return (CIRCLE if abs(ratio.imag) <= SPECIAL * abs(ratio) else NO_CIRCLE).format(k + 1)
+        if sentence == ONE_CENTRE:
+            return FOUR_CENTRE.format(k + 1)
+    d, tau = places[1:] - places[0], np.exp(1j * (angles[1:] - angles[0])) - 1.0
+    turned = tau[np.argmax(np.abs(tau))]
+    if np.all(np.minimum(np.abs(tau), np.abs(tau - turned)) <= SPECIAL):
+        return TWO_ANGLES
+    for one, other, sentence in ((tau, d, TRAMMEL), (np.conj(tau), np.conj(tau + 1.0) * d, INVERTED)):
+        columns = np.array([one.real, one.imag, other.real, other.imag])
+        columns = columns / np.maximum(np.max(np.abs(columns), axis=1), 1e-300)[:, None]
+        if np.linalg.svd(columns, compute_uv=False)[2] <= SPECIAL:
+            return sentence
+    return ""
+
+
+def _within_rounding(q: list[Matrix], places: Complex, angles: Array, size: float, pivot: Decimal) -> bool:
+    """Return whether the last pivot of the minors is as large as rounding of the poses changes it."""
+    if not pivot:
+        return True
+    noise = np.random.default_rng(5).uniform(-ROUNDING, ROUNDING, (3, len(places)))
+    moved = _decimals(places + size * (noise[0] + 1j * noise[1]), angles + noise[2], size)
+    return 4 * abs(null_space(_minors(moved), 4)[1] - pivot) > pivot
+
+
+def _minors(q: list[Matrix]) -> Matrix:
+    """Return the coefficients (4, 10) of the 3 x 3 minors of the rows Q f, the largest of each 1."""
     rows = []
     for three in itertools.combinations(q, 3):
-        tensor = np.einsum("xyz,xa,yb,zc->abc", _PERMUTATIONS, *three)
-        row = np.zeros(len(_CUBIC))
-        for index in np.ndindex(3, 3, 3):
-            row[_PLACE[index]] += tensor[index]
-        rows.append(row / max(float(np.linalg.norm(row)), 1e-300))
-    return np.array(rows)
+        row = [Decimal(0)] * len(_CUBIC)
+        for order, sign in _PERMUTATIONS:
+            for a, b, c in itertools.product(range(3), repeat=3):
+                row[_PLACE[a, b, c]] += sign * three[0][order[0]][a] * three[1][order[1]][b] * three[2][order[2]][c]
+        largest = max(map(abs, row)) or Decimal(1)
+        rows.append([entry / largest for entry in row])
+    return rows
 
 
-def _roots(cubics: Array, trial: int) -> Iterator[Complex]:
-    """Yield the common zeros of the cubics without the circular points, as eigenvectors of a pencil of two linear forms."""
-    null = np.linalg.svd(cubics)[2][4:].T  # (10, 6): values of the monomials at the zeros
-    one, other = np.random.default_rng([trial, 6]).standard_normal((2, 3))
-    left, right = (sum(form[k] * null[_UNFOLD[k]] for k in range(3)) for form in (one, other))
-    try:
-        vectors = np.linalg.eig(np.linalg.solve(right, left))[1]
-    except np.linalg.LinAlgError:
-        return
-    for column in (null @ vectors).T:
-        zero = np.linalg.svd(column[_UNFOLD])[0][:, 0]  # of rank one but for rounding
-        zero = zero / zero[np.argmax(np.abs(zero))]
-        if abs(zero[2]) > 1e-6 or abs(zero[0] ** 2 + zero[1] ** 2) > 1e-6:
-            yield zero
+def _roots(null: Matrix) -> tuple[list[tuple[list[Decimal], int]], int]:
+    """Return the real common zeros of the cubics with their multiplicity, and the number of others without the circular points.
 
-
-def _starts(zero: Complex) -> Iterator[Complex]:
-    """Yield a zero as a start, and the two real ones about it if it may be a pair of real ones that rounding has joined."""
-    yield zero
-    if REAL < float(np.max(np.abs(zero.imag))) <= NEARLY_REAL:
-        yield np.asarray(zero.real + zero.imag, dtype=complex)
-        yield np.asarray(zero.real - zero.imag, dtype=complex)
-
-
-def _refined(q: Array, pivot: Complex) -> tuple[Complex, Complex] | None:
-    """Return point and pivot at the end of Newton steps, normalised to the largest coordinate; None if they lead to none."""
-    point = np.conj(np.linalg.svd(q @ pivot)[2][-1])
-    pivot = pivot.copy()
-    for _ in range(8):
-        point, pivot = point / point[np.argmax(np.abs(point))], pivot / pivot[np.argmax(np.abs(pivot))]
-        jacobian, free = _jacobian(q, point, pivot)
-        try:
-            step = np.linalg.solve(jacobian, -np.einsum("i,kij,j->k", point, q, pivot))
-        except np.linalg.LinAlgError:
-            return None
-        point[free[0]] += step[:2]
-        pivot[free[1]] += step[2:]
-    sizes = np.einsum("i,kij,j->k", np.abs(point), np.abs(q), np.abs(pivot))
-    residual = np.max(np.abs(np.einsum("i,kij,j->k", point, q, pivot)) / sizes)
-    circular = abs(pivot[2]) <= 1e-7 and abs(pivot[0] ** 2 + pivot[1] ** 2) <= 1e-7
-    if not residual <= RESIDUAL or circular:
-        return None
-    return point, pivot
-
-
-def _jacobian(q: Array, point: Any, pivot: Any) -> tuple[Any, tuple[list[int], list[int]]]:
-    """Return the derivatives (4, 4) by the coordinates that are not the largest ones, and the indices of these."""
-    free = tuple([k for k in range(3) if k != int(np.argmax(np.abs(part)))] for part in (point, pivot))
-    by_point, by_pivot = q @ pivot, np.einsum("i,kij->kj", point, q)
-    return np.concatenate([by_point[:, free[0]], by_pivot[:, free[1]]], axis=1), (free[0], free[1])
-
-
-def _imaginary(root: tuple[Complex, Complex]) -> float:
-    return float(max(np.max(np.abs(part.imag)) for part in root))
-
-
-def _distance(one: tuple[Complex, Complex], other: tuple[Complex, Complex]) -> float:
-    """Return the largest sine of the angle between the vectors of two roots."""
-    return max(
-        math.sqrt(float(np.sum(np.abs(np.cross(a / np.linalg.norm(a), b / np.linalg.norm(b))) ** 2)))
-        for a, b in zip(one, other, strict=True)
-    )
-
-
-def certified(q: Array, bound: Array, point: Array, pivot: Array) -> bool:
-    """Return whether a real root is proven near a point and a pivot, by Krawczyk's condition in exact rational arithmetic.
-
-    It holds for all matrices that differ from `q` by the rounding of their entries, of which `bound` are the sizes.
+    `null`: 6 vectors that span the values of the cubic monomials at the zeros. For two linear forms in the coordinates these
+    values give a pencil of matrices, whose eigenvalues are the ratios of the forms at the zeros.
     """
-    jacobian, (of_point, of_pivot) = _jacobian(q, point, pivot)
-    inverse = np.linalg.inv(jacobian)
-    if not np.all(np.isfinite(inverse)):
-        return False
-    exact = [[[Fraction(float(entry)) for entry in row] for row in one] for one in q]
-    loose = [[[ROUNDING * Fraction(float(entry)) for entry in row] for row in one] for one in bound]
-    x, y = ([Fraction(float(value)) for value in part] for part in (point, pivot))
+    one, other = ([Decimal(float(x)) for x in form] for form in np.random.default_rng(6).standard_normal((2, 3)))
+    left, right = (
+        [[sum((form[k] * vector[_UNFOLD[k][m]] for k in range(3)), Decimal(0)) for vector in null] for m in range(6)]
+        for form in (one, other)
+    )
+    columns, _ = null_space([b + [-entry for entry in a] for a, b in zip(left, right, strict=True)], 6, 6)
+    matrix = [[column[k] for column in columns] for k in range(6)]
+    square = other[0] ** 2 + other[1] ** 2
+    circular = [Decimal(1), -2 * (one[0] * other[0] + one[1] * other[1]) / square, (one[0] ** 2 + one[1] ** 2) / square]
+    polynomial, complete = characteristic_polynomial(matrix), True
+    while complete and len(polynomial) > 2:
+        quotient, complete = divided(polynomial, circular)
+        polynomial = quotient if complete else polynomial
+    zeros = []
+    for ratio, order in real_roots(polynomial):
+        pencil = [[entry - ratio * (k == m) for m, entry in enumerate(row)] for k, row in enumerate(matrix)]
+        (weights,), _ = null_space(pencil, 5)
+        values = [sum((w * vector[k] for w, vector in zip(weights, null, strict=True)), Decimal(0)) for k in range(len(_CUBIC))]
+        rows = [[values[_UNFOLD[k][m]] for k in range(3)] for m in range(6)]  # all proportional to the zero
+        zeros.append((_largest_one(max(rows, key=lambda row: max(map(abs, row)))), order))
+    return zeros, 4 - sum(order for _, order in zeros)
+
+
+def _point(q: list[Matrix], pivot: list[Decimal]) -> list[Decimal]:
+    """Return the point that belongs to a pivot, its largest coordinate 1."""
+    rows = [[sum((a * b for a, b in zip(row, pivot, strict=True)), Decimal(0)) for row in one] for one in q]
+    (point,), _ = null_space(rows, 2)
+    return _largest_one(point)
+
+
+def _largest_one(vector: list[Decimal]) -> list[Decimal]:
+    largest = max(vector, key=abs)
+    return [entry / largest for entry in vector]
+
+
+def certified(q: Any, bound: Any, point: Any, pivot: Any, *, rounding: Decimal = Decimal(ROUNDING)) -> bool:
+    """Return whether a real root is proven near a point and a pivot, by Krawczyk's condition in exact arithmetic.
+
+    It holds for all matrices that differ from `q` by `rounding`, relative to the sizes `bound` of their entries.
+    """
+    exact, loose = ([[[Decimal(entry) for entry in row] for row in one] for one in each] for each in (q, bound))
+    x, y = ([Decimal(entry) for entry in part] for part in (point, pivot))
+    of_point, of_pivot = ([k for k in range(3) if k != max(range(3), key=lambda k: abs(part[k]))] for part in (x, y))
     three, four = range(3), range(4)
-    for _ in range(2):  # iterative refinement: residuals are exact
-        residual = [float(_sum(x[i] * exact[k][i][j] * y[j] for i in three for j in three)) for k in four]
-        step = inverse @ residual
-        for k, index in enumerate(of_point):
-            x[index] -= Fraction(float(step[k]))
-        for k, index in enumerate(of_pivot):
-            y[index] -= Fraction(float(step[2 + k]))
-    z = [[Fraction(float(value)) for value in row] for row in inverse]
-    slope = [
-        [_sum(exact[k][i][j] * y[j] for j in three) for i in of_point]
-        + [_sum(exact[k][i][j] * x[i] for i in three) for j in of_pivot]
-        for k in four
-    ]
-    value = [_sum(x[i] * exact[k][i][j] * y[j] for i in three for j in three) for k in four]
-    # bounds of what rounding of the coefficients, and a distance of one from the centre, change
-    rounded = [_sum(abs(x[i]) * loose[k][i][j] * abs(y[j]) for i in three for j in three) for k in four]
-    rounded_slope = [
-        _sum(abs(y[j]) * loose[k][i][j] for i in of_point for j in three)
-        + _sum(abs(x[i]) * loose[k][i][j] for i in three for j in of_pivot)
-        for k in four
-    ]
-    bend = [2 * _sum(abs(exact[k][i][j]) + loose[k][i][j] for i in of_point for j in of_pivot) for k in four]
-    off, shrink, curved = [], [], []
-    for own, row in enumerate(z):
-        off.append(abs(_sum(row[k] * value[k] for k in four)) + _sum(abs(row[k]) * rounded[k] for k in four))
-        deviation = [_sum(row[k] * slope[k][m] for k in four) - (m == own) for m in four]
-        shrink.append(_sum(abs(one) for one in deviation) + _sum(abs(row[k]) * rounded_slope[k] for k in four))
-        curved.append(_sum(abs(row[k]) * bend[k] for k in four))
-    radius = 2 * max(off) + Fraction(1, 2**200)
-    return all(o + radius * (s + radius * c) < radius for o, s, c in zip(off, shrink, curved, strict=True))
+
+    def value() -> list[Decimal]:
+        return [_sum(x[i] * exact[k][i][j] * y[j] for i in three for j in three) for k in four]
+
+    def slope() -> Matrix:
+        return [
+            [_sum(exact[k][i][j] * y[j] for j in three) for i in of_point]
+            + [_sum(exact[k][i][j] * x[i] for i in three) for j in of_pivot]
+            for k in four
+        ]
+
+    begin = x + y
+    with precise():
+        for _ in range(3):  # Newton steps, and the inverse at their end
+            columns, _ = null_space([row + [-Decimal(int(k == m)) for m in four] for k, row in enumerate(slope())], 4, 4)
+            if len(columns) > 4:
+                return False
+            z = [[column[k] for column in columns] for k in four]
+            step = [_sum(a * b for a, b in zip(row, value(), strict=True)) for row in z]
+            for part, free, change in ((x, of_point, step[:2]), (y, of_pivot, step[2:])):
+                for index, shift in zip(free, change, strict=True):
+                    part[index] -= shift
+    if max(abs(after - before) for after, before in zip(x + y, begin, strict=True)) > SAME:
+        return False
+    with localcontext(Context(prec=MAX_DIGITS, traps=[Inexact, InvalidOperation])):  # exact, or an exception
+        # bounds of what rounding of the coefficients, and a distance of one from the centre, change
+        rounded = [rounding * _sum(abs(x[i]) * loose[k][i][j] * abs(y[j]) for i in three for j in three) for k in four]
+        rounded_slope = [
+            rounding
+            * (
+                _sum(abs(y[j]) * loose[k][i][j] for i in of_point for j in three)
+                + _sum(abs(x[i]) * loose[k][i][j] for i in three for j in of_pivot)
+            )
+            for k in four
+        ]
+        bend = [2 * _sum(abs(exact[k][i][j]) + rounding * loose[k][i][j] for i in of_point for j in of_pivot) for k in four]
+        values, slopes = value(), slope()
+        off, shrink, curved = [], [], []
+        for own, row in enumerate(z):
+            off.append(abs(_sum(row[k] * values[k] for k in four)) + _sum(abs(row[k]) * rounded[k] for k in four))
+            deviation = [_sum(row[k] * slopes[k][m] for k in four) - (m == own) for m in four]
+            shrink.append(_sum(abs(one) for one in deviation) + _sum(abs(row[k]) * rounded_slope[k] for k in four))
+            curved.append(_sum(abs(row[k]) * bend[k] for k in four))
+        radius = 2 * max(off) + EXACT
+        return all(o + radius * (s + radius * c) < radius for o, s, c in zip(off, shrink, curved, strict=True))
 
 
-def _sum(terms: Iterable[Fraction]) -> Fraction:
-    return sum(terms, Fraction())
+def _sum(terms: Iterable[Decimal]) -> Decimal:
+    return sum(terms, Decimal(0))
 
 
 # --- linkages of two dyads, and their defects --------------------------------------------------------------------------------
