@@ -67,6 +67,8 @@ ACCEPTED = {
     },
     optlink.synthesis.starts: {"problem": optlink.load("path-arc5")},
     optlink.synthesis.exact: {"problem": optlink.load("motion-5-poses")},
+    optlink.synthesis.dyad_curves: {"problem": optlink.load("motion-4-poses")},
+    optlink.synthesis.four_bar_of_dyads: {"problem": optlink.load("motion-4-poses"), "driver": 40, "follower": 240},
     optlink.motion: {"problem": MACHINE, "crank_angle": [0.1, 0.2]},
     optlink.objective: {"unit": "N m", "measure": "rms"},
     optlink.limit: {"unit": "deg", "max": 45.0},

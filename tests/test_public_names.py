@@ -49,7 +49,7 @@ PUBLIC = {
         output_sensitivity pareto sensitivities sweep tolerance
     """,
     "optlink.style": "BODIES COUPLER CRANK GROUND LIMIT MUTED RESULT ROCKER SHADE STYLE TARGET",
-    "optlink.synthesis": "FirstDesign exact starts",
+    "optlink.synthesis": "DyadCurves FirstDesign Pairs dyad_curves exact four_bar_of_dyads starts",
     "optlink.testing": """
         Disagreement check_derivatives check_forces check_motion check_optimum check_prices check_stored
     """,

@@ -18,6 +18,7 @@ from optlink.presentation.views.design import charts
 
 RECORD = Path(__file__).resolve().parents[2] / "benchmarks" / "certificates_record.json"
 PICTURE = "images/certificates/boxes.svg"
+DYADS = "images/dyads-of-four-poses.svg"
 
 
 def page() -> str:
@@ -36,11 +37,21 @@ def page() -> str:
     return "\n".join(lines)
 
 
-def picture() -> bytes:
+def boxes() -> bytes:
     """Return the picture of the boxes of the crank-rocker as SVG."""
     found = optlink.solve(optlink.load("crank-rocker"))
     assert isinstance(found, optlink.SynthesisResult)
-    drawn = pictures(chart for chart in charts(found) if chart.file == "boxes")["boxes"]
-    with apply_style(), mpl.rc_context({"svg.hashsalt": "boxes"}), io.BytesIO() as stream:
+    return picture(found, "boxes")
+
+
+def dyads() -> bytes:
+    """Return the picture of the curves of four poses as SVG."""
+    return picture(optlink.synthesis.exact("motion-4-poses"), "dyads")
+
+
+def picture(found: optlink.SynthesisResult, name: str) -> bytes:
+    """Return a picture of a result as SVG."""
+    drawn = pictures(chart for chart in charts(found) if chart.file == name)[name]
+    with apply_style(), mpl.rc_context({"svg.hashsalt": name}), io.BytesIO() as stream:
         drawn.savefig(stream, format="svg", metadata={"Date": None})
         return stream.getvalue()

@@ -188,7 +188,8 @@ def pictures() -> Iterator[Picture]:
         yield Picture(DOCS / gallery.FOLDER / f"{name}.svg", ROOT / "problems" / f"{name}.toml", partial(gallery.picture, name))
     for name in templates():
         yield Picture(DOCS / "recipes" / f"{name}.svg", ROOT / "templates" / f"{name}.toml", partial(recipes.picture, name))
-    yield Picture(DOCS / certificates.PICTURE, ROOT / "problems/crank-rocker.toml", certificates.picture)
+    yield Picture(DOCS / certificates.PICTURE, ROOT / "problems/crank-rocker.toml", certificates.boxes)
+    yield Picture(DOCS / certificates.DYADS, ROOT / "problems/motion-4-poses.toml", certificates.dyads)
 
 
 def small(svg: str) -> str:

@@ -228,7 +228,8 @@ def exact(problem: AnyProblem) -> SynthesisResult:
     ----------
     problem : ProblemFile, str or Path
         A four-bar for five poses with free timing, five points timed from a free start, or five points of a law or function with
-        free start angles; all its dimensions are design variables.
+        free start angles; all its dimensions are design variables. Of four poses, which two dyads of a curve meet, the best
+        four-bars are listed.
 
     Returns
     -------
@@ -246,13 +247,16 @@ def exact(problem: AnyProblem) -> SynthesisResult:
     >>> result.exact_solutions.real, len(result.exact_solutions.solutions)
     (4, 12)
     """
+    from optlink.tasks.four_poses import FourTargets, applies as of_two_dyads
+
     problem = problem_of(problem)
-    if not applies(problem.variants()[0].spec):
+    pairs = of_two_dyads(problem.variants()[0].spec)
+    if not pairs and not applies(problem.variants()[0].spec):
         message = "only five poses, timed points or points of a function of a four-bar have finitely many exact solutions"
         remedy = "Give five of them, leave all dimensions and the start of the timing free, or leave --all out"
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()
-    targets = FiveTargets(problem.variants())
+    targets = (FourTargets if pairs else FiveTargets)(problem.variants())
     designs = [design for _, design in targets.usable]
     nearest = next((one.design for one in targets.found if one.design is not None), None)
     shown = designs or ([] if nearest is None else [nearest])

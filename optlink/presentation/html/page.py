@@ -161,6 +161,8 @@ def _method(model: ReportModel) -> str:
     outcome = model.result
     if isinstance(outcome, Analysis):
         return "analysis of the machine; nothing was optimised"
+    if getattr(outcome, "exact_solutions", None) is not None and outcome.backend == "none":
+        return "exact solutions of equations; verified by an independent sweep of the kinematics"
     if outcome.backend == "none":
         return "check of a given design; nothing was optimised"
     starts = f"{outcome.starts} start{'s' * (outcome.starts != 1)}, seed {outcome.seed}"

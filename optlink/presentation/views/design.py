@@ -16,7 +16,7 @@ from optlink.presentation.drawing import Sketch, film, there_and_back
 from optlink.presentation.format import marked
 from optlink.presentation.style import styled
 from optlink.presentation.view import View
-from optlink.presentation.views import conclusions
+from optlink.presentation.views import conclusions, dyad_curves
 from optlink.presentation.views.design_charts import (
     CloseUp,
     dots,
@@ -110,7 +110,7 @@ def charts(result: SynthesisResult) -> list[ChartSpec]:
     """Return the charts of requirements, transmission angle, quantities of the machine, and of the global search."""
     shown, model, best_design = views(result), result.problem.model, result.best
     specs = [chart for view in shown for chart in PICTURES[view.task.requirement.family].charts(view)]
-    specs += [chart for view in shown[:1] for chart in transmission(view)]
+    specs += [*dyad_curves.charts(result, shown), *(chart for view in shown[:1] for chart in transmission(view))]
     specs += [] if best_design is None else courses(best_design)
     values, mode = ({}, "") if best_design is None else (best_design.values if best_design.valid else {}, best_design.assembly)
     return specs + certificate_charts(result.certificate, model.title, model.shown_objective, values, mode, model.display)

@@ -536,7 +536,7 @@ def exact_solutions(outcome: SynthesisResult) -> TableSpec | None:
     units = joined(sorted({model.display(name)[1] for name in names}))
     notes = [f"sizes in {units}; transmission angle from 0 or 180 deg: least over the motion if usable, else at the targets"]
     notes += [f"{name}: {words}" for name, words in DEFECTS.items() if any(name in one.reasons for one in found.solutions)]
-    return table("All exact solutions", columns, rows, notes=map(quiet, notes))
+    return table("The best exact solutions" if found.special else "All exact solutions", columns, rows, notes=map(quiet, notes))
 
 
 def backends(outcome: SynthesisResult) -> TableSpec:

@@ -40,8 +40,8 @@ class ExactSolutions:
     """All linkages that meet the targets, usable ones first.
 
     `real`, `certified`, `complex`: numbers of roots of the equations, of which there are four; `sliders`: those that are no links
-    of finite length; `special`: a sentence about targets with infinitely many solutions, of which none is listed; `either`:
-    whether each linkage is listed twice, driven at either link.
+    of finite length; `special`: a sentence about targets with infinitely many solutions, of which the best ones are listed, or
+    none; `either`: whether each linkage is listed twice, driven at either link.
     """
 
     task: str

@@ -1,0 +1,254 @@
+"""The dyads that carry a body through four poses: the curves of their points and pivots, and the four-bars of two of them.
+
+The pivots lie on a cubic, the centre-point curve, which passes through all poles. A line through one pole meets it in two more
+points, which follow from a quadratic equation: turning the line traces the whole curve, ovals and points at infinity included.
+
+References
+----------
+L. Burmester, Lehrbuch der Kinematik (1888).
+J. M. McCarthy and G. S. Soh, Geometric Design of Linkages, 2nd ed. (2011), chapter 5.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.vector2d import TURN, Array
+from optlink.synthesis.five_poses import INFINITE, MANY, SPECIAL, Complex, equations, special
+
+POSES = 4
+SAMPLES = 512  # points of each closed curve
+ROUNDS = 3  # times that they are spaced evenly again
+ON_CIRCLE = 1e-6  # deviation of a root of the discriminant from the unit circle up to which its angle is real
+DEFECTS = ("", "circuit", "branch", "order", "no four-bar")
+"""What keeps a four-bar from passing the poses, by number."""
+
+REPEATED = "poses {} and {} are the same: three poses have a dyad for each point of the body"
+
+
+@dataclass(frozen=True, eq=False)
+class DyadCurves:
+    """The dyads of four poses, in order along their curves.
+
+    `points`: points of the body (n, 2) [m] in the fixed plane at the first pose (circle-point curve), and `pivots` of the frame
+    at constant distance from them (centre-point curve); NaN between closed curves, and where one of both lies at infinity.
+    `homogeneous`: the same without a gap at infinity, (n, 3) each, of unit length, with the unit `size` [m] about `places[0]`.
+    `poles` (k, 2) [m]: where the body turns from one pose to another. `special`: a sentence about poses that have no such
+    curves. `places` x + iy [m] and `angles` [rad] are the poses.
+    """
+
+    places: Complex
+    angles: Array
+    size: float
+    homogeneous: tuple[Array, Array] = (np.empty((0, 3)), np.empty((0, 3)))
+    poles: Array = field(default_factory=lambda: np.empty((0, 2)))
+    special: str = ""
+
+    @cached_property
+    def dyads(self) -> tuple[Complex, Complex]:
+        """Points and pivots as complex numbers."""
+        found = []
+        for part in self.homogeneous:
+            x, y, w = np.where(np.abs(part[:, 2:]) > INFINITE, part, np.nan).T
+            found.append(self.places[0] + self.size * ((x / w) + 1j * (y / w)))
+        missing = np.isnan(found[0]) | np.isnan(found[1])
+        points, pivots = (np.where(missing, np.nan + 0j, part) for part in found)
+        return points, pivots
+
+    @property
+    def points(self) -> Array:
+        """Points of the body (n, 2) [m]."""
+        return np.stack([self.dyads[0].real, self.dyads[0].imag], axis=1)
+
+    @property
+    def pivots(self) -> Array:
+        """Pivots of the frame (n, 2) [m]."""
+        return np.stack([self.dyads[1].real, self.dyads[1].imag], axis=1)
+
+    @property
+    def count(self) -> int:
+        """Number of closed curves, each of which may pass through infinity."""
+        return int(np.sum(np.isnan(self.homogeneous[0][:, 0])))
+
+    @cached_property
+    def in_order(self) -> NDArray[np.bool_]:
+        """Whether the crank of each dyad passes the poses in order within a turn (n,): such a dyad may be the driver."""
+        points, pivots = self.dyads
+        return _in_order(np.angle(_carried(self.places, self.angles, points) - pivots[:, None]))
+
+    def partners(self, drivers: Sequence[int] | NDArray[np.int64], followers: slice | NDArray[np.int64] = slice(None)) -> "Pairs":
+        """Return the four-bars of each driver as the crank with each follower.
+
+        Parameters
+        ----------
+        drivers, followers : integers
+            Rows of the curves; by default all are followers.
+        """
+        points, pivots = self.dyads
+        return pairs(self.places, self.angles, (points[drivers], pivots[drivers]), (points[followers], pivots[followers]))
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Four-bars of dyads, arrays (drivers, followers).
+
+    `defect`: number of the first of their defects, 0 none, 1 circuit, 2 branch, 3 order, 4 a link without length or of infinite
+    length; `turns`: whether the crank turns fully; `transmission`: least distance [rad] of the transmission angle from 0 and 180
+    deg at the poses, and `around`, over a revolution (0 if the crank does not turn).
+    """
+
+    defect: NDArray[np.int8]
+    turns: NDArray[np.bool_]
+    transmission: Array
+    around: Array
+
+
+def curves(places: Sequence[complex] | Complex, angles: Sequence[float] | Array, samples: int = SAMPLES) -> DyadCurves:
+    """Return the dyads of four poses: positions x + iy [m] of a point of the body, and angles [rad] of the body."""
+    z, turn = np.asarray(places, dtype=complex), np.asarray(angles, dtype=float)
+    size = float(np.max(np.abs(z - z[0]))) or 1.0
+    scaled = (z - z[0]) / size
+    for i, j in itertools.combinations(range(POSES), 2):
+        if abs(scaled[i] - scaled[j]) <= SPECIAL and abs(math.remainder(turn[i] - turn[j], TURN)) <= SPECIAL:
+            return DyadCurves(z, turn, size, special=REPEATED.format(i + 1, j + 1))
+    if sentence := special(scaled, turn):
+        return DyadCurves(z, turn, size, special=sentence)
+    poles, sines = _poles(scaled, turn)
+    sheets = _Sheets(equations(scaled, turn)[0], poles[int(np.argmax(sines))])
+    if sheets.vanishes:
+        return DyadCurves(z, turn, size, special=MANY)
+    gap = np.full((1, 3), np.nan)
+    traced = [sheets.traced(low, high, sheet, samples) for low, high, sheet in sheets.intervals]
+    points, pivots = (np.concatenate([part for one in traced for part in (one[k], gap)]) for k in (0, 1))
+    finite = poles[sines > SPECIAL, :2]
+    return DyadCurves(z, turn, size, (points, pivots), [z[0].real, z[0].imag] + size * finite)
+
+
+def _poles(scaled: Complex, turn: Array) -> tuple[Array, Array]:
+    """Return the poles (6, 3) of all pairs of poses, and sines of half their rotations, zero for a pole at infinity."""
+    one, other = np.array(list(itertools.combinations(range(POSES), 2))).T
+    half = 0.5 * (turn[other] - turn[one])
+    sine = np.sin(half)
+    apart = 0.5 * (scaled[other] - scaled[one])
+    across = 1j * apart * np.cos(half)  # the pole lies on the perpendicular bisector
+    pole = 0.5 * (scaled[one] + scaled[other]) + across / np.where(np.abs(sine) > SPECIAL, sine, 1.0)
+    return np.stack([pole.real, pole.imag, np.ones(len(pole))], axis=1), np.abs(sine)
+
+
+class _Sheets:
+    """The two points besides the pole in which lines through it meet the centre-point curve.
+
+    On the line pole + r (cos t, sin t) the determinant of the equations is r (c + b r + a r^2).
+    """
+
+    def __init__(self, q: Array, pole: Array) -> None:
+        self.q, self.pole, self.rows = q, pole, q @ pole
+        # the discriminant is a polynomial of degree 2 in exp(2it), given by its values at five angles
+        angles = np.linspace(0.0, np.pi, 5, endpoint=False)
+        c, b, a = self.coefficients(angles)
+        series = np.fft.fft(b * b - 4.0 * a * c) / 5.0
+        self.scale = float(np.max(np.abs([a, b, c])))
+        roots = np.roots(series[[2, 1, 0, 4, 3]])
+        real = roots[np.abs(np.abs(roots) - 1.0) <= ON_CIRCLE]
+        self.ends = np.sort(np.mod(0.5 * np.angle(real), np.pi))
+
+    @property
+    def vanishes(self) -> bool:
+        """Whether each pivot of the plane has a dyad."""
+        return self.scale <= SPECIAL
+
+    def coefficients(self, angles: Array) -> tuple[Array, Array, Array]:
+        """Return c, b and a at angles (n,) of the line."""
+        turned = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1) @ np.swapaxes(self.q, 1, 2)
+        (a0, a1, a2), (b0, b1, b2) = self.rows, turned
+        one = b0 @ np.cross(a1, a2) + b1 @ np.cross(a2, a0) + b2 @ np.cross(a0, a1)
+        two = np.cross(b1, b2) @ a0 + np.cross(b2, b0) @ a1 + np.cross(b0, b1) @ a2
+        return one, two, np.sum(b0 * np.cross(b1, b2), axis=-1)
+
+    @property
+    def intervals(self) -> list[tuple[float, float, float]]:
+        """Ends of the angle, and the sheet: 0 for both, which join at the ends, else +1 or -1."""
+        if not len(self.ends):
+            return [(0.0, math.pi, 1.0), (0.0, math.pi, -1.0)]
+        ranges = []
+        for low, high in itertools.pairwise([*self.ends, self.ends[0] + math.pi]):
+            c, b, a = self.coefficients(np.linspace(low, high, 9)[1:-1])
+            if np.median(b * b - 4.0 * a * c) > 0.0 and high - low > ON_CIRCLE:
+                ranges.append((float(low), float(high), 0.0))
+        return ranges
+
+    def dyads(self, low: float, high: float, sheet: float, along: Array) -> tuple[Array, Array]:
+        """Return points and pivots (n, 3) of unit length at places 0 ... 1 along a closed curve."""
+        sign, angles = np.full(len(along), sheet), low + (high - low) * along
+        if sheet == 0.0:  # there and back: the square root of the discriminant is analytic in this parameter
+            sign = np.where(along <= 0.5, 1.0, -1.0)
+            angles = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(TURN * along)
+        c, b, a = self.coefficients(angles)
+        root = sign * np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))
+        first = -b * sign >= 0.0  # of two equal forms the one without cancellation
+        of_pole, of_line = np.where(first, 2.0 * a, -b - root), np.where(first, root - b, 2.0 * c)
+        direction = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
+        pivots = of_pole[:, None] * self.pole + of_line[:, None] * direction
+        pivots /= np.linalg.norm(pivots, axis=1)[:, None]
+        rows = np.einsum("kij,nj->nki", self.q, pivots)
+        crossed = np.cross(rows, np.roll(rows, -1, axis=1))  # the best of three: two rows may be parallel at a pole
+        best = np.argmax(np.linalg.norm(crossed, axis=2), axis=1)
+        points = crossed[np.arange(len(best)), best]
+        return points / np.linalg.norm(points, axis=1)[:, None], pivots
+
+    def traced(self, low: float, high: float, sheet: float, samples: int) -> tuple[Array, Array]:
+        """Return points and pivots along a closed curve, evenly spaced for both together on the sphere of unit vectors."""
+        along = np.linspace(0.0, 1.0, samples)
+        for _ in range(ROUNDS):
+            chords = np.zeros(len(along) - 1)
+            for one in self.dyads(low, high, sheet, along):
+                chords += np.linalg.norm(np.cross(one[1:], one[:-1]), axis=1)
+            length = np.concatenate([[0.0], np.cumsum(chords + 1e-3 * np.mean(chords))])
+            along = np.interp(np.linspace(0.0, length[-1], samples), length, along)
+        return self.dyads(low, high, sheet, along)
+
+
+def _carried(places: Complex, angles: Array, points: Complex) -> Complex:
+    """Return points of the body (...) at all poses (..., poses)."""
+    return np.asarray(places + np.exp(1j * (angles - angles[0])) * (points[..., None] - places[0]))
+
+
+def _in_order(phi: Array) -> NDArray[np.bool_]:
+    """Return whether angles (..., poses) follow each other within a turn, in one of both senses."""
+    ways = [np.sum(np.mod(way * np.diff(phi, axis=-1), TURN), axis=-1) <= TURN for way in (1.0, -1.0)]
+    return np.asarray(ways[0] | ways[1])
+
+
+def pairs(places: Complex, angles: Array, driver: tuple[Complex, Complex], follower: tuple[Complex, Complex]) -> Pairs:
+    """Return what keeps the four-bars of drivers and followers, each points and pivots [m], from passing the poses in order.
+
+    The closed form of `optlink.synthesis.five_poses.defects`, for all pairs at once; a defect hides those that come after it.
+    """
+    (begin, pivot), (end, fixed) = ([part[:, None] for part in driver], [part[None, :] for part in follower])
+    pin, joint = _carried(places, angles, begin), _carried(places, angles, end)
+    a, b, c, g = (np.abs(vector) for vector in (begin - pivot, end - begin, end - fixed, fixed - pivot))
+    with np.errstate(all="ignore"):
+        sine = ((joint - pin) * np.conj(joint - fixed[..., None])).imag / (b * c)[..., None]
+        lowest, highest = ((a * a + g * g - (b + way * c) ** 2) / (2.0 * a * g) for way in (1.0, -1.0))
+        phi = np.angle((pin - pivot[..., None]) / (fixed - pivot)[..., None])
+        cosines = np.array([(b * b + c * c - (g + way * a) ** 2) / (2.0 * b * c) for way in (1.0, -1.0)])
+    turns = (lowest <= -1.0) & (highest >= 1.0)
+    two = (lowest > -1.0) & (highest < 1.0)  # ranges, one on each side of the frame line
+    aside = (highest < 1.0) & ~two & ~turns  # one range about the angle pi
+    centred = np.where(aside[..., None], np.mod(phi, TURN) - np.pi, phi)
+    steps = np.diff(centred, axis=-1)
+    along = np.all(steps > 0.0, axis=-1) | np.all(steps < 0.0, axis=-1)
+    one_side = np.abs(np.sum(np.sign(sine), axis=-1)) == len(places)
+    apart = two & (np.abs(np.sum(np.sign(phi), axis=-1)) != len(places))
+    circuit, order = np.where(turns, ~one_side, apart), np.where(turns, ~_in_order(phi), ~along)
+    size = float(np.max(np.abs(places - places[0]))) or 1.0
+    none = ~(np.minimum(np.minimum(a, b), np.minimum(c, g)) > 1e-6 * size)  # also NaN
+    defect = np.select([none, circuit, ~one_side, order], [4, 1, 2, 3], 0).astype(np.int8)
+    around = np.min(np.arccos(np.clip(np.abs(cosines), 0.0, 1.0)), axis=0)
+    transmission = np.min(np.arcsin(np.clip(np.abs(sine), 0.0, 1.0)), axis=-1)
+    return Pairs(defect, turns, np.where(none, 0.0, transmission), np.where(none | ~turns, 0.0, around))

@@ -1,0 +1,198 @@
+"""Dyads of a problem with four poses: their curves, the best four-bars of two of them, and the four-bar of two given ones."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from optlink.errors import InputError
+from optlink.linkage.mechanism import Arm
+from optlink.linkage.vector2d import Array
+from optlink.problem.arguments import typed
+from optlink.problem.design import DesignProblem
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
+from optlink.synthesis.five_poses import FivePoses, FourBarSolution, link
+from optlink.synthesis.four_poses import DEFECTS, POSES, DyadCurves, Pairs, curves
+from optlink.tasks.exact import CONDITIONS, FiveTargets
+from optlink.tasks.results.design import SynthesisResult, of_designs
+from optlink.tasks.results.exact import ExactSolutions
+
+MOST = 400  # dyads that are drivers and followers of all pairs
+APART = 0.04  # least distance of listed pairs along one of the curves, as a share of the dyads
+DESIGNS = 6  # largest number of listed four-bars
+TRIED = 40  # largest number of four-bars that are validated
+
+
+def curves_of(task: DesignProblem) -> DyadCurves | None:
+    """Return the dyads of the poses of a requirement; None unless they are four."""
+    if task.requirement.kind != "motion" or len(task.data.columns) != POSES:
+        return None
+    x, y, cosine, sine = task.data.columns.T[:4]
+    return curves(x + 1j * y, np.unwrap(np.arctan2(sine, cosine)))
+
+
+def applies(task: DesignProblem) -> bool:
+    """Return whether each four-bar of two dyads of four poses is a design of a problem, but for its bounds and limits."""
+    loop = task.four_bar
+    if loop is None or len(task.parts) != 1 or task.composed or task.robust is not None:
+        return False
+    guided = task.requirement.kind == "motion" and len(task.data.columns) == POSES and task.timing == "free"
+    return guided and (loop.coupler.body, task.point) in task.linkage.marks and len(task.free) >= CONDITIONS
+
+
+class FourTargets(FiveTargets):
+    """The best four-bars of two dyads of four poses, for a problem with definite assembly modes in `files`; see `applies`."""
+
+    def __init__(self, files: Sequence[ProblemFile], chosen: tuple[int, int] | None = None) -> None:
+        found = curves_of(files[0].spec)
+        assert found is not None
+        self.curves, self.chosen, self.sentence = found, chosen, found.special
+        super().__init__(files)
+        self.found = self.found[:DESIGNS]
+
+    @property
+    def summary(self) -> ExactSolutions:
+        """How many pairs of dyads pass the poses, and the best ones as data."""
+        return ExactSolutions("four poses", 0, 0, 0, 0, self.sentence, False, tuple(one.solution for one in self.found))
+
+    def _solved(self) -> tuple[FivePoses, Sequence[FourBarSolution]]:
+        """Return no roots, and varied four-bars that pass the poses without a defect and within the bounds, best first."""
+        found = self.curves
+        points, pivots = found.dyads
+        for row in self.chosen or ():
+            if not 0 <= row < len(points) or np.isnan(points[row]):
+                message = found.special or "no dyad of finite lengths"
+                raise InputError(message, "Give a row of `dyad_curves`", self.files[0].file, "driver, follower", row)
+        rows = [self.chosen] if self.chosen else [] if found.special else list(self._best())
+        dyads = {k: link(points[k], pivots[k], found.size) for pair in rows for k in pair}
+        return FivePoses(), [FourBarSolution(dyads[i], dyads[k], found.places, found.angles) for i, k in rows]
+
+    def _best(self) -> Iterator[tuple[int, int]]:
+        """Yield driver and follower of varied pairs, the one with the best transmission angle first, and compose the sentence."""
+        found, task = self.curves, self.task
+        finite = np.flatnonzero(~np.isnan(found.points[:, 0]))
+        rows = finite[np.unique(np.linspace(0, len(finite) - 1, MOST).astype(int))]
+        drivers = rows[found.in_order[rows]]
+        every = found.partners(drivers, rows)
+        turning = every.turns | (task.limits.crank == "span")
+        passing = (every.defect == 0) & turning
+        inside = passing & self._inside(drivers, rows)
+        count, curve = inside.size, f"{found.count} closed curve{'s' * (found.count > 1)}"
+        shares = {name: np.mean(every.defect == k) for k, name in enumerate(DEFECTS[:4]) if name}
+        shares["crank does not turn"] = np.mean((every.defect == 0) & ~turning)
+        reasons = ", ".join(f"{name} {share:.0%}" for name, share in shares.items() if share >= 0.005)
+        self.sentence = (
+            f"{curve} of dyads, of which {len(drivers) / len(rows):.0%} may drive; {np.mean(passing):.1%} of {count} four-bars "
+            f"pass the poses in order (not: {reasons}), {np.mean(inside):.1%} within the bounds"
+        )
+        measure = np.where(inside, self._transmission(every), 0.0)
+        wide = max(1, round(APART * len(rows)))
+        places = np.searchsorted(rows, drivers)
+        for _ in range(TRIED):
+            i, k = np.unravel_index(int(np.argmax(measure)), measure.shape)
+            if measure[i, k] <= 0.0:
+                return
+            yield int(drivers[i]), int(rows[k])
+            near = np.abs(places - places[i])[:, None] <= wide
+            measure[near & (np.abs(np.arange(len(rows)) - k)[None, :] <= wide)] = 0.0
+
+    def _transmission(self, every: Pairs) -> Array:
+        """Return the least transmission angle [rad] over the range that the problem limits, as far as it is known."""
+        return every.around if self.task.limits.transmission_range == "revolution" else every.transmission
+
+    def _inside(self, drivers: Array, followers: Array) -> Array:
+        """Return whether the lengths and pivots of pairs lie within their bounds (drivers, followers)."""
+        loop, quantities = self.task.four_bar, self.task.quantities
+        assert loop is not None
+        (points, pivots), size = self.curves.dyads, 1e-9 * self.curves.size
+        b, a, e, c = points[drivers][:, None], pivots[drivers][:, None], points[followers], pivots[followers]
+        named = dict(zip(loop.names, (np.abs(b - a), np.abs(e - b), np.abs(e - c)), strict=True))
+        for place, at in zip(loop.pivots, (a, c), strict=True):
+            parts = {place.length: np.abs(c - a)} if isinstance(place, Arm) else {place[0]: at.real, place[1]: at.imag}
+            named |= {name: value for name, value in parts.items() if isinstance(name, str)}
+        ranges = [(value, *quantities[name].bounds) for name, value in named.items()]
+        if (frame := self.task.limits.frame_length) is not None:
+            ranges.append((np.abs(c - a), frame.low or 0.0, math.inf if frame.high is None else frame.high))
+        inside = np.ones((len(drivers), len(followers)), dtype=bool)
+        for value, low, high in ranges:
+            inside &= (value >= low - size) & (value <= high + size)
+        return inside
+
+
+@typed
+def dyad_curves(problem: AnyProblem) -> DyadCurves:
+    """Trace the curves of all dyads that guide a body through four poses: Burmester's circle-point and centre-point curve.
+
+    Parameters
+    ----------
+    problem : ProblemFile, str or Path
+        A problem with a requirement `kind = "motion"` of four poses, of any linkage.
+
+    Returns
+    -------
+    DyadCurves
+        `points` and `pivots` of the dyads (n, 2) [m]; `in_order`, the possible drivers; `partners`, the defects of four-bars.
+
+    Raises
+    ------
+    InputError
+        If the problem does not have four poses.
+
+    Examples
+    --------
+    >>> curves = optlink.synthesis.dyad_curves("motion-4-poses")
+    >>> curves.points.shape == curves.pivots.shape, len(curves.poles)
+    (True, 6)
+    """
+    problem = problem_of(problem)
+    found = next(filter(None, (curves_of(part) for part in problem.variants()[0].spec.parts)), None)
+    if found is None:
+        message = "only four poses have curves of dyads"
+        raise InputError(message, "Give four poses; for five take optlink.synthesis.exact", problem.file, "requirement")
+    return found
+
+
+@typed
+def four_bar_of_dyads(problem: AnyProblem, driver: int, follower: int) -> SynthesisResult:
+    """Join two dyads of four poses to a four-bar, and validate it.
+
+    Parameters
+    ----------
+    problem : ProblemFile, str or Path
+        A four-bar for four poses with free timing, all dimensions of which are design variables.
+    driver, follower : int
+        Rows of the dyads in `dyad_curves`.
+
+    Returns
+    -------
+    SynthesisResult
+
+    Raises
+    ------
+    InputError
+        If the problem is of another kind, or if the four-bar does not pass the poses in order.
+
+    Examples
+    --------
+    >>> curves = optlink.synthesis.dyad_curves("motion-4-poses")
+    >>> driver = int(np.flatnonzero(curves.in_order)[100])
+    >>> partners = curves.partners([driver])
+    >>> follower = int(np.argmax(np.where(partners.defect[0] == 0, partners.around[0], 0.0)))
+    >>> optlink.synthesis.four_bar_of_dyads("motion-4-poses", driver, follower).best.exact
+    True
+    """
+    problem = problem_of(problem)
+    if not applies(problem.variants()[0].spec):
+        message, remedy = "only four poses of a four-bar with free timing are met by any two dyads", "Leave all dimensions free"
+        raise InputError(message, remedy, problem.file, "requirement")
+    clock = time.perf_counter()
+    targets = FourTargets(problem.variants(), (driver, follower))
+    if not targets.found or targets.found[0].design is None:
+        reasons = ", ".join(reason for one in targets.found for reason in one.solution.reasons) or DEFECTS[-1]
+        message = f"the four-bar of these dyads does not pass the poses: {reasons}"
+        remedy = "Take a partner for which `partners` finds no defect"
+        raise InputError(message, remedy, problem.file, "driver, follower", [driver, follower])
+    return of_designs(problem, [targets.found[0].design], 1, seconds={"solve and validate": time.perf_counter() - clock})

@@ -1,0 +1,106 @@
+"""Problems with four poses: the best four-bars of two dyads, the four-bar of two given ones, curves in picture and page."""
+
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from tests.as_dyads import as_dyads
+
+PROBLEM = "motion-4-poses"
+
+
+@pytest.fixture(scope="module")
+def best():
+    return optlink.synthesis.exact(PROBLEM)
+
+
+def test_the_best_four_bars_of_all_pairs_are_listed(best, tmp_path):
+    angles = [math.degrees(design.least_transmission) for design in best.designs]
+    assert angles == sorted(angles, reverse=True)
+    assert angles[0] > 69.0
+    assert all(design.valid and design.exact for design in best.designs)
+    assert re.match(r"four poses: 1 closed curve of dyads, .* in order \(not: circuit", best.exact_solutions.sentence)
+    stored = tmp_path / "result.json"
+    stored.write_text(json.dumps(best.to_dict()), encoding="utf-8")
+    assert optlink.read_result(stored).exact_solutions == best.exact_solutions
+
+
+def test_no_random_search_finds_a_better_one(best):
+    searched = optlink.solve(PROBLEM, designs=6)
+    assert max(design.least_transmission for design in searched.designs) < best.best.least_transmission + math.radians(1.0)
+
+
+def test_bounds_and_limits_are_kept(best):
+    file = optlink.load(PROBLEM)
+    small = optlink.synthesis.exact(file.override({"mechanism.frame.bounds": ["10 mm", "150 mm"]}))
+    assert small.valid
+    assert all(design.values["frame"] <= 0.15 for design in small.designs)
+    half = optlink.synthesis.exact(file.override({"limits.crank": "span", "limits.transmission_angle": ["30 deg", "150 deg"]}))
+    assert half.best.least_transmission >= best.best.least_transmission
+    none = optlink.synthesis.exact(file.override({"mechanism.crank.bounds": ["10 mm", "11 mm"]}))
+    assert not none.valid
+    assert "0.0% within the bounds" in none.exact_solutions.sentence
+
+
+def test_a_chain_of_dyads_has_the_same_four_bars(best):
+    written = optlink.synthesis.exact(as_dyads(optlink.load(PROBLEM)))
+    angles = [[design.least_transmission for design in result.designs] for result in (best, written)]
+    assert angles[1] == pytest.approx(angles[0], abs=1e-9)
+
+
+def test_two_picked_dyads_are_a_four_bar():
+    curves = optlink.synthesis.dyad_curves(PROBLEM)
+    drivers = np.flatnonzero(curves.in_order)[::20]
+    every = curves.partners(drivers)
+    fits = (every.defect == 0) & every.turns & (every.around > math.radians(40.0))
+    i, k = np.argwhere(fits)[0]
+    result = optlink.synthesis.four_bar_of_dyads(PROBLEM, int(drivers[i]), int(k))
+    assert result.best.exact
+    motion = optlink.motion(result.machine, crank_angle=result.best.crank_angles[:1])
+    assert motion.position("B")[0] == pytest.approx(curves.points[drivers[i]], abs=1e-9)
+    assert motion.position("D")[0] == pytest.approx(curves.pivots[k], abs=1e-9)
+    bad = int(np.flatnonzero(every.defect[i] == 1)[0])
+    with pytest.raises(optlink.InputError, match="does not pass the poses: circuit"):
+        optlink.synthesis.four_bar_of_dyads(PROBLEM, int(drivers[i]), bad)
+    with pytest.raises(optlink.InputError, match="no dyad of finite lengths"):
+        optlink.synthesis.four_bar_of_dyads(PROBLEM, 0, len(curves.points))
+
+
+def test_other_problems_have_no_curves():
+    with pytest.raises(optlink.InputError, match="only four poses have curves"):
+        optlink.synthesis.dyad_curves("motion-5-poses")
+    with pytest.raises(optlink.InputError, match="only four poses of a four-bar"):
+        optlink.synthesis.four_bar_of_dyads("motion-5-poses", 0, 1)
+
+
+def test_special_poses_are_told():
+    rows = [{"x": f"{10 * k} mm", "y": f"{k * k} mm", "angle": "20 deg"} for k in range(4)]
+    result = optlink.synthesis.exact(optlink.load(PROBLEM).override({"requirement.points": rows}))
+    assert "the body does not turn" in result.exact_solutions.sentence
+    assert not result.valid
+
+
+def test_picture_and_page_show_the_usable_parts(best, tmp_path):
+    assert "dyads" in best.plots
+    figure = best.plot("dyads")
+    lines = {line.get_gid(): np.asarray(line.get_ydata()) for line in figure.axes[0].get_lines()}
+    shown = [int(np.sum(np.isfinite(lines[name]))) for name in ("all dyads", "may drive: poses in order")]
+    partners = int(np.sum(np.isfinite(lines["usable partners of the driver"])))
+    assert shown[0] > shown[1] > partners > 0
+    page = optlink.report(best, tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "Pivots of all dyads in the frame" in page
+    assert "usable partners of the driver" in page
+    assert "exact solutions of equations" in page
+
+
+def test_the_command_lists_them():
+    ended = CliRunner().invoke(app, ["solve", PROBLEM, "--all", "--json"])
+    assert ended.exit_code == 0
+    found = json.loads(ended.stdout)["exact_solutions"]
+    assert found["usable"] == len(found["solutions"]) == 6
