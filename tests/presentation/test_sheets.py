@@ -145,25 +145,27 @@ def test_printed_dimensions_are_the_distances(name, sheet_of):
 
 @pytest.mark.parametrize("name", CASES)
 def test_hole_distances_are_those_of_the_motion_at_the_stated_scale(name, sheet_of):
-    """Circles of the view above the caption of a part, divided by the scale that the caption states."""
+    """Circles of the view above the caption of a part, divided by the scale that it states; and the dimensions of all holes."""
     about, sheets, _ = sheet_of(name)
     wanted, compared = holes_of(about), 0
     for page in sheets[1:]:
         captions = [(match, one.box) for one in page.texts if (match := STATED.fullmatch(one.text))]
         for match, box in captions:
             enlarged, reduced = map(int, match[3].split(":"))
-            beside = [x for other, (x, y) in ((m, b[0]) for m, b in captions) if x > box[0, 0] + 1.0 and y > box[0, 1] - 150.0]
-            above = [y for y in (b[1, 1] for _, b in captions) if y > box[1, 1] + 1.0]
+            above = [b[1, 1] for _, b in captions if b[0, 0] <= box[0, 0] + 1.0 and b[1, 1] > box[1, 1] + 1.0]
+            top = min([*above, page.border[1, 1]])
+            beside = [b[0, 0] for _, b in captions if b[0, 0] > box[0, 0] + 1.0 and box[1, 1] - 1.0 < b[1, 1] < top]
             low = np.array([box[0, 0], box[1, 1]])
-            high = np.array([min([*beside, page.border[1, 0]]), min([*above, page.border[1, 1]])])
+            high = np.array([min([*beside, page.border[1, 0]]), top])
             holes = np.array([at for at in page.circles if np.all((at > low) & (at < high))]).reshape(-1, 2)
             if match[2] not in wanted or len(holes) < 2:
                 continue
             found = sorted(math.dist(p, q) * reduced / enlarged for p, q in itertools.combinations(holes, 2))
             np.testing.assert_allclose(found, wanted[match[2]], rtol=0, atol=1e-6)
-            if len(holes) == 2 and len(wanted[match[2]]) == 1:
-                printed = {text for text, _ in page.dimensions}
-                assert f"{found[0]:.2f}".rstrip("0").rstrip(".") in printed
+            printed = {text.partition(" ")[0] for text, _ in page.dimensions}
+            away = np.abs(holes[:, None] - holes) * reduced / enlarged
+            texts = [{f"{each:.2f}".rstrip("0").rstrip(".") for each in row.flat if each > 1e-6} for row in away]
+            assert any(row <= printed for row in texts), match[2]  # from one of the holes, along and across the part
             compared += len(found)
     assert compared
 
@@ -187,15 +189,15 @@ def test_every_part_and_pin_is_listed_and_drawn(name, sheet_of):
     rows: dict[float, list[Text]] = {}
     for one in first.texts:
         if one.box[0, 0] > first.border[1, 0] - 181.0:
-            rows.setdefault(round(float(one.box[0, 1]), 3), []).append(one)
+            rows.setdefault((one.box[0, 1] - 42.0) // sheet.ROW, []).append(one)
     listed = [[one.text for one in sorted(row, key=lambda one: one.box[0, 0])] for row in rows.values()]
-    listed = [row for row in listed if len(row) >= 4 and row[0].isdigit() and row[1].isdigit()]
+    listed = [row for row in listed if len(row) >= 4 and [text.isdigit() for text in row[:3]] == [True, True, False]]
     assert sorted(int(row[0]) for row in listed) == list(range(1, len(listed) + 1))
     assert {row[2] for row in listed if not row[2].startswith("pin ")} == parts.parts.keys()
     pins = {name: int(row[1]) for row in listed if row[2].startswith("pin ") for name in row[2][4:].split(", ")}
     assert pins.keys() == {pin.name for pin in parts.pins}
     assert sum(int(row[1]) for row in listed if row[2].startswith("pin ")) == len(parts.pins)
-    assert all(" × " in row[3] for row in listed if row[2].startswith("pin ")) == (name not in UNSTACKED[:2])
+    assert all(" × " in row[3] for row in listed if row[2].startswith("pin ")) == (name not in UNSTACKED[:3])
     counted = [word for word in first.words if word.isdigit()]
     assert all(counted.count(row[0]) >= 2 for row in listed)
     captions = [match[2] for page in sheets[1:] for word in page.words if (match := STATED.fullmatch(word))]
@@ -261,3 +263,17 @@ def test_a_drawing_without_room_is_refused(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="the drawing of the assembly does not fit on an A3 sheet"):
         export(of("crank-rocker"), tmp_path / "a.pdf")
     assert not [*tmp_path.iterdir()]
+
+
+def test_a_place_where_a_linkage_does_not_close_is_not_drawn(tmp_path):
+    """Links of equal lengths fold at the start of the motion, where their positions are open."""
+    about = of("path-closed18")
+    for content in ("sheet", "drawing"):
+        assert "nan" not in written(about, tmp_path / "a.dxf", content=content).read_text().lower()
+        with pytest.raises(InputError, match=r"at crank angle 0 deg the RRR group coupler-rocker .* fails to close"):
+            written(about, tmp_path / "b.dxf", content=content, at=0.0)
+
+
+def test_an_assembly_is_drawn_where_its_parts_are_seen(tmp_path):
+    """At the start of the motion, rod and crank of a slider-crank cover the frame and each other."""
+    assert "assembly, crank angle 60 deg" in pages(written(of("slider-crank"), tmp_path / "a.dxf", content="sheet"))[0].words

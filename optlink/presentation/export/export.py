@@ -13,7 +13,7 @@ from optlink.linkage.elements import disc_cams
 from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
-from optlink.linkage.stroke import failure
+from optlink.linkage.stroke import Failure, failure
 from optlink.linkage.vector2d import Array, Vector
 from optlink.presentation.files import check_target, write_csv
 from optlink.presentation.report_model import ReportModel
@@ -23,6 +23,8 @@ from optlink.tasks.analyze import MAX_POINTS, Analysis, analyze
 SCHEMA = "optlink/geometry/1"
 FORCES = ("_N", "_Nm", "_J", "_W")
 """Endings of columns that say nothing of a linkage without masses and loads."""
+SPREAD = 1.0 / 6.0
+"""Share of the motion after which an assembly is drawn: at its start, links often lie above each other."""
 
 
 @dataclass(frozen=True)
@@ -85,23 +87,31 @@ def export(model: ReportModel, path: Path, options: Options | None = None) -> No
     contents[options.content or next(iter(contents))](model, model.cycle, path, options)
 
 
-def place_of(cycle: Analysis, at: float | None, key: str = "--at") -> float:
-    """Return the crank angle [rad] of a position `at` in SI, where the mechanism can be assembled; None: where the motion starts.
+def place_of(cycle: Analysis, at: float | None, key: str = "--at", share: float = 0.0) -> float:
+    """Return the crank angle [rad] of a position `at` in SI, where the mechanism can be assembled.
+
+    None: the first such position after a share of the motion.
 
     Raises
     ------
     InputError
         If the drive cannot reach the position; the message contains the reachable ranges.
     """
+
+    def failed(angle: float) -> Failure | None:
+        return failure(cycle.machine.mechanism, cycle.machine.sizes, angle)
+
     if at is None:
-        return float(cycle.positions[0])
+        after = map(float, cycle.positions[round(share * (len(cycle.positions) - 1)) :])
+        return next(angle for angle in after if not failed(angle))
     driving = cycle.problem.model.driving
     angle = at if driving.ends is None else driving.at(1e3 * at)
-    if not cycle.full and cycle.ranges.holding(angle) is None:
-        failed = failure(cycle.machine.mechanism, cycle.machine.sizes, angle)
-        message = str(failed) if failed else "the mechanism cannot be assembled there"
+    if failed(angle) or not (cycle.full or cycle.ranges.holding(angle)):
+        message = str(failed(angle) or "the mechanism cannot be assembled there")
         remedy, shown = f"Give an angle within {cycle.ranges.text}", f"{driving.shown(angle):.6g} {driving.unit}"
-        if driving.ends is not None:
+        if cycle.full:
+            remedy = "Give an angle beside it"
+        elif driving.ends is not None:
             message, remedy = "the drive does not move there", f"Give a {driving.reach}"
         raise InputError(message, remedy, cycle.problem.file, key, shown)
     return angle
@@ -192,7 +202,7 @@ def _sheet(model: ReportModel, cycle: Analysis, path: Path, options: Options) ->
     from optlink.presentation.parts.model import part_set
     from optlink.presentation.parts.sheet import sheets
 
-    at = place_of(cycle, options.at)
+    at = place_of(cycle, options.at, share=SPREAD)
     problem = model.problem.model
     head = {"title": problem.title, **letterhead(model.problem)}
     head["title"] = head["title"] if model.valid else f"NOT VALID: {head['title']}"

@@ -44,7 +44,7 @@ SMALLEST = 3.0  # diameter of a hole on paper below which its part is enlarged
 LABEL = 1.8  # height of the letters that name a cell
 TOLERANCE = "ISO 2768-m"
 ROW = 6.0  # height of a row of the parts list
-COLUMNS = {"Pos.": 13.0, "Qty": 12.0, "Name": 50.0, "Size": 65.0, "Material": 40.0}
+COLUMNS = {"Pos.": 13.0, "Qty": 12.0, "Name": 60.0, "Size": 55.0, "Material": 40.0}
 BLOCK = (
     (9.0, {"general tolerance": 60.0, "unit": 25.0, "scale": 35.0, "paper": 25.0, "sheet": 35.0}),
     (9.0, {"part": 60.0, "revision": 25.0, "author": 60.0, "date": 35.0}),
@@ -197,7 +197,8 @@ def _assembly(
     for thing in things.values():
         above = [other for other in things.values() if other.level > thing.level]
         items += [line for edge in thing.edges for line in _visible(edge, above)]
-    targets = [_target(things.get(one.members[0]) or things[f"pin {one.members[0]}"], [*things.values()]) for one in entries]
+    members = [[things.get(name) or things[f"pin {name}"] for name in one.members] for one in entries]
+    targets = [_target(alike, [*things.values()]) for alike in members]
     items += _balloons(np.array(targets), box(items))
     low = box(items)[0]
     return *items, Words(caption, low - [0.0, FIRST], align="left")
@@ -220,14 +221,18 @@ def _visible(edge: tuple[Vertex, ...], above: Iterable[_Thing]) -> Iterator[Line
             yield replace(segment(*points[run]), style="outline")
 
 
-def _target(thing: _Thing, things: Sequence[_Thing]) -> Array:
-    """Return the place of a part or pin at which a balloon points: along its core or beside it, hidden by nothing."""
-    core, shares = thing.core, np.array([[0.5], [0.4], [0.6], [0.3], [0.7], [0.2], [0.8]])
-    begin, end = max(itertools.product(core, core), key=lambda pair: float(np.linalg.norm(pair[1] - pair[0])))
-    around = thing.reach * np.array([[0.0, 0.8], [0.0, -0.8], [-0.8, 0.0], [0.8, 0.0]])
-    places = np.concatenate([core.mean(axis=0)[None], begin + shares * (end - begin), *(corner + around for corner in core)])
-    hidden = np.any([other.hides(places) for other in things if other.level > thing.level] or [np.zeros(len(places))], axis=0)
-    return np.asarray(places[int(np.argmin(hidden))])
+def _target(alike: Iterable[_Thing], things: Sequence[_Thing]) -> Array:
+    """Return the place at which the balloon of parts or pins points: along a core or beside it, if possible hidden by nothing."""
+    found: list[tuple[bool, Array]] = []
+    for thing in alike:
+        core, shares = thing.core, np.array([[0.5], [0.4], [0.6], [0.3], [0.7], [0.2], [0.8]])
+        begin, end = max(itertools.product(core, core), key=lambda pair: float(np.linalg.norm(pair[1] - pair[0])))
+        around = thing.reach * np.array([[0.0, 0.8], [0.0, -0.8], [-0.8, 0.0], [0.8, 0.0]])
+        places = np.concatenate([core.mean(axis=0)[None], begin + shares * (end - begin), *(corner + around for corner in core)])
+        above = [other.hides(places) for other in things if other.level > thing.level]
+        hidden = np.any(above or [np.zeros(len(places))], axis=0)
+        found.append((bool(hidden.all()), places[int(np.argmin(hidden))]))
+    return min(found, key=lambda one: one[0])[1]
 
 
 def _balloons(targets: Array, within: Array) -> Iterator[Item]:
