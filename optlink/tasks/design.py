@@ -30,7 +30,7 @@ from optlink.solvers.infeasibility import Explanation, Follow, explain, feasible
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Exploration, Searcher
 from optlink.synthesis.freudenstein import FirstStep
-from optlink.tasks.exact import FiveTargets, applies
+from optlink.tasks.exact import FiveTargets, applies, exact
 from optlink.tasks.protocol import DesignTask, Progress, Search, Timer, agreement, completed, part
 from optlink.tasks.results.common import INCOMPLETE
 from optlink.tasks.results.conflict import cannot_turn, margin_notes
@@ -100,7 +100,9 @@ class SynthesisTask(DesignTask[SynthesisResult]):
         return not problem.model.of_cycle
 
     def search(self, problem: ProblemFile, search: Search) -> SynthesisResult:
-        """Return the best distinct designs; see `DesignTask.search`."""
+        """Return the best distinct designs, or all exact ones alone; see `DesignTask.search`."""
+        if getattr(problem.spec.requirement, "exact", False):  # a key of some kinds
+            return exact(problem)
         if search.backend == "both":
             return _compared(problem, search, self.search)
         timer, rounds = search.timer, SearchRounds(problem, search)
@@ -209,6 +211,9 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
     if rounds.exact_solutions is not None:
         yield rounds.exact_solutions.sentence
     yield from rounds.notes
+    found, asked = len(collection.designs), rounds.options.designs
+    if rounds.options.asked and task.parts and 0 < found < asked:
+        yield f"{asked} designs asked for, {found} found: the search ended because {rounds.ended}"
     if rounds.better is not None and not collection.no_worse(rounds.better):
         error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
         yield FOUR_BAR_BETTER.format(1e3 * error)
@@ -324,6 +329,7 @@ class SearchRounds:
         self.compound = has_several_dyads(self.task)
         self.exploration = Exploration()
         self.given = 0  # starts that are not random
+        self.ended = ""  # why the search ended
         self.first_step: FirstStep | None = None
         self.exact_solutions: ExactSolutions | None = None
         self.notes: list[str] = []
@@ -354,7 +360,7 @@ class SearchRounds:
         exact, starts, progress = -1, self.options.starts, self.options.progress
         try:
             self._given()
-            while self.task.parts and (self.starts < starts if starts else not self._enough(exact)):
+            while self.task.parts and not self._enough(exact):
                 self._share()
                 exact = self.collection.exact
                 if not self._fitted():
@@ -372,7 +378,7 @@ class SearchRounds:
             interrupts.handled()
             if not self.collection.designs:
                 raise
-            self.interrupted = True
+            self.interrupted, self.ended = True, "it was interrupted"
 
     def _given(self) -> None:
         """Refine the starts that are not random: `begin` alone, or exact solutions, convex first designs and that of the file.
@@ -591,18 +597,32 @@ class SearchRounds:
 
     def _enough(self, exact: int) -> bool:
         """Return whether to stop; `exact` is the number of exact designs before the latest round."""
+        if self.options.starts:
+            self.ended = f"it had the {self.starts} starts asked for" if self.starts >= self.options.starts else ""
+        else:
+            self.ended = self._ended(exact)
+        return bool(self.ended)
+
+    def _ended(self, exact: int) -> str:
+        """Return why no more random starts are needed, or nothing."""
         rounds, collection = self.exploration.rounds, self.collection
-        listed = self.exact_solutions is not None and self.exact_solutions.complete and collection.exact > 0
-        if rounds >= self._most or self._met or listed:
-            return True
+        if self.exact_solutions is not None and self.exact_solutions.complete and collection.exact > 0:
+            return "they are all exact ones within the limits"
+        if rounds >= self._most or self._met:
+            return f"it had all {self.starts} starts that it may have"
         if collection.exact:
+            if collection.exact >= self.options.designs:
+                return "they are as many as asked for"
+            if collection.exact == exact:
+                return f"its latest starts, of {self.starts}, led to no other exact one"
             often = collection.evidence().hits >= STARTS_PER_EXACT * collection.exact
-            return collection.exact >= self.options.designs or collection.exact == exact or often
+            return f"its starts led to each of them {STARTS_PER_EXACT} times on average" if often else ""
         if rounds < MIN_ROUNDS:
-            return False
+            return ""
         if not collection.designs and collection.beyond_tolerances(self.exploration.candidates) <= MISSED_CHANCE:
-            return True
-        return collection.evidence().missed <= MISSED_CHANCE * collection.in_order
+            return "a design within the tolerances is unlikely"
+        unlikely = collection.evidence().missed <= MISSED_CHANCE * collection.in_order
+        return f"a better design than those of its {self.starts} starts is unlikely" if unlikely else ""
 
 
 def has_first_steps(task: DesignProblem) -> bool:

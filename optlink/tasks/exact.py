@@ -134,9 +134,9 @@ def _failures(design: LinkageDesign) -> Iterator[str]:
     for check in design.validation.failures:
         stated = f"{check.value:.4g} {check.unit}".rstrip()
         if check.name.startswith(GRASHOF):
-            yield f"crank: does not turn ({check.name.removeprefix(GRASHOF)})"
+            yield f"crank: does not turn fully ({check.name.removeprefix(GRASHOF)})"
         elif check.name.endswith(BOUNDED):
-            yield f"bounds: {check.name.removesuffix(BOUNDED)} {stated}, allowed {check.limit}"
+            yield f"outside your bounds: {check.name.removesuffix(BOUNDED)} {stated}, allowed {check.limit}"
         elif not math.isnan(check.value):
             yield f"{check.name}: {stated}, required {check.limit}"
 
@@ -253,7 +253,7 @@ def exact(problem: AnyProblem) -> SynthesisResult:
     pairs = of_two_dyads(problem.variants()[0].spec)
     if not pairs and not applies(problem.variants()[0].spec):
         message = "only five poses, timed points or points of a function of a four-bar have finitely many exact solutions"
-        remedy = "Give five of them, leave all dimensions and the start of the timing free, or leave --all out"
+        remedy = "Give five of them, all dimensions and the start of the timing free; or leave out --all and requirement.exact"
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()
     targets = (FourTargets if pairs else FiveTargets)(problem.variants())

@@ -42,14 +42,19 @@ def test_six_four_bars_without_a_usable_one_have_their_defects():
     assert {reason for one in found.solutions for reason in one.reasons} == {"circuit", "branch", "order"}
     assert all(one.reasons for one in found.solutions)
     assert not result.valid
-    assert "6 four-bars, 12 with either link as the crank, 0 usable" in result.notes[0]
+    assert (
+        "6 four-bars, 12 with either link as the crank, 0 usable; the others fail by: branch 7, circuit 4, order 1"
+        in result.notes[0]
+    )
 
 
 def test_limits_and_bounds_are_reasons():
     file = optlink.load(POSES / "known-0.toml")
     tight = optlink.synthesis.exact(file.override({"mechanism.rocker.bounds": ["2 mm", "100 mm"]}))
     assert tight.exact_solutions.usable == 2
-    assert any(one.reasons == ("bounds: rocker 210.2 mm, allowed 2 ... 100",) for one in tight.exact_solutions.solutions)
+    assert any(
+        one.reasons == ("outside your bounds: rocker 210.2 mm, allowed 2 ... 100",) for one in tight.exact_solutions.solutions
+    )
     strict = optlink.synthesis.exact(file.override({"limits.transmission_angle": ["45 deg", "135 deg"]}))
     assert strict.exact_solutions.usable == 1
     reasons = [reason for one in strict.exact_solutions.solutions for reason in one.reasons]
@@ -72,6 +77,21 @@ def test_a_search_begins_with_the_exact_solutions(tmp_path):
     stored = tmp_path / "result.json"
     stored.write_text(json.dumps(result.to_dict()), encoding="utf-8")
     assert optlink.read_result(stored).exact_solutions == result.exact_solutions
+
+
+def test_fewer_designs_than_asked_for_have_a_reason():
+    result = optlink.solve(optlink.load(POSES / "known-0.toml"), designs=12)
+    assert "12 designs asked for, 4 found: the search ended because they are all exact ones within the limits" in result.notes
+    few = optlink.solve("path-scott-russell", designs=50, starts=40)
+    assert any(note.startswith("50 designs asked for") and "starts asked for" in note for note in few.notes)
+
+
+def test_a_file_may_want_exact_designs_alone():
+    file = optlink.load(POSES / "known-0.toml").override({"requirement.exact": True})
+    result = optlink.solve(file)
+    assert (result.backend, result.starts, len(result.designs)) == ("none", 0, 4)
+    with pytest.raises(optlink.InputError, match="finitely many exact solutions"):
+        optlink.solve(optlink.load("motion-3-poses").override({"requirement.exact": True}))
 
 
 def motion_of(sizes, phi, side):

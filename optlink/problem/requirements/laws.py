@@ -340,6 +340,8 @@ class FunctionRequirement(LawRequirement):
     """Number of evenly spaced positions after the start; default: the rows of a table, else 60."""
     measure: Measure = "sum of squares"
     """Measure that combines all errors into the objective; `max` is the largest error."""
+    exact: bool = False
+    """Whether only designs that meet five positions exactly are wanted: all of them, without a search."""
 
     def ranged(self, problem: Designed) -> bool:
         """Return whether its largest error counts over the whole span: that of a formula."""

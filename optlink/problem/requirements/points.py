@@ -51,6 +51,8 @@ class PathRequirement(Requirement):
     """Whether the last point leads back to the first one within the revolution; default: determined from the points."""
     measure: Measure = "sum of squares"
     """Measure that combines all deviations into the objective; `max` is the largest one."""
+    exact: bool = False
+    """Whether only designs that meet five points or poses exactly are wanted: all of them, without a search."""
 
     pointed: ClassVar[bool] = True
 

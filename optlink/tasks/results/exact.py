@@ -1,6 +1,7 @@
 """All linkages that meet five targets exactly, as data: each is usable, or has a reason for which it is not."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -76,7 +77,14 @@ class ExactSolutions:
         found = f"{count} four-bar{'s' * (count != 1)}, {self.usable} usable" if count else "no four-bar"
         if self.either and count:
             found = f"{count // 2} four-bar{'s' * (count > 2)}, {count} with either link as the crank, {self.usable} usable"
-        return f"{self.task}: {roots}{missing}{sliders}; {found}"
+        return f"{self.task}: {roots}{missing}{sliders}; {found}{self._others}"
+
+    @property
+    def _others(self) -> str:
+        """How many solutions have each reason as their first one."""
+        causes = Counter(one.reasons[0].partition(":")[0] for one in self.solutions if one.reasons)
+        listed = ", ".join(f"{cause} {count}" for cause, count in causes.most_common())
+        return f"; the others fail by: {listed}" if listed else ""
 
 
 def document(found: ExactSolutions, displayed: Callable[[Mapping[str, float]], Mapping[str, float]]) -> dict[str, Any]:
