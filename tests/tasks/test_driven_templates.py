@@ -102,3 +102,117 @@ def test_template_has_the_optimum_of_an_own_search(name, backend):
     assert value == pytest.approx(result.best.objective, rel=accuracy)
     assert min(slack) > -1e-6
     assert result.best.objective == pytest.approx(best(name), rel=accuracy)
+
+
+# --- a lid on a four-bar hinge ------------------------------------------------------------------------------------------------
+
+HINGE = """
+title = "Lid on a four-bar hinge"
+gravity = "9.81 m/s^2"
+[mechanism.ground]
+A = ["-22 mm", "-25 mm"]
+B = [{ start = "-10 mm", bounds = ["-40 mm", "60 mm"] }, { start = "35 mm", bounds = ["0 mm", "60 mm"] }]
+S = [{ start = "150 mm", bounds = ["40 mm", "400 mm"] }, { start = "-200 mm", bounds = ["-400 mm", "-80 mm"] }]
+[mechanism.links]
+arm = { joints = ["A", "C"], length = { start = "132 mm", bounds = ["100 mm", "160 mm"] } }
+guide = { joints = ["B", "D"], length = { start = "128 mm", bounds = ["100 mm", "180 mm"] } }
+tube = { joints = ["S"] }
+rod = { joints = ["M"] }
+[mechanism.links.lid]
+joints = ["C", "D"]
+length = { start = "80 mm", bounds = ["60 mm", "120 mm"] }
+points.E = [{ start = "880 mm", bounds = ["800 mm", "950 mm"] }, { start = "0 mm", bounds = ["-60 mm", "60 mm"] }]
+points.M = [{ start = "300 mm", bounds = ["200 mm", "450 mm"] }, "-30 mm"]
+[mechanism.guides]
+strut = { slider = "rod", on = "tube", through = "S" }
+[mechanism.assembly]
+strut = "forward"
+D = "left of C-B"
+[bodies]
+lid = { mass = "20 kg", centroid = ["420 mm", "0 mm"], inertia = "1.4 kg*m^2" }
+[loads]
+gas = { on = "rod", force = "800 N", against = "tube" }
+[drive]
+body = "arm"
+range = ["71.4 deg", "120.9 deg"]
+speed = "static"
+[requirement]
+kind = "motion"
+point = "E"
+mark = "0 deg"
+angle_length = "300 mm"
+tolerance = "1 mm"
+points = [
+    { x = "900 mm", y = "100 mm", angle = "0 deg", crank = "71.4 deg" },
+    { x = "350 mm", y = "850 mm", angle = "60 deg", crank = "120.9 deg" },
+]
+[objective]
+quantity = "torque"
+measure = "peak"
+[limits]
+closed = { quantity = "end", of = "rod", stroke = "backward", min = "320 mm" }
+open = { quantity = "end", of = "rod", stroke = "forward", max = "560 mm" }
+"""
+FREE = {
+    "B.x": (-0.04, 0.06),
+    "B.y": (0.0, 0.06),
+    "arm.length": (0.1, 0.16),
+    "guide.length": (0.1, 0.18),
+    "lid.length": (0.06, 0.12),
+    "lid.E.along": (0.8, 0.95),
+    "lid.E.across": (-0.06, 0.06),
+    "S.x": (0.04, 0.4),
+    "S.y": (-0.4, -0.08),
+    "lid.M.along": (0.2, 0.45),
+}
+
+
+def hinge(design, points=41):
+    """Torques of the hand at the arm [N m] by virtual work, and what is left to the strut and to both poses [m]."""
+    bx, by, arm, guide, lid, along, across, sx, sy, m = design
+    phi = np.radians(np.linspace(71.4, 120.9, points))
+    step = 1e-4
+
+    def placed(phi):
+        c = -0.022 - 0.025j + arm * np.exp(1j * phi)
+        away = bx + 1j * by - c
+        far = np.abs(away)
+        near = (lid**2 + far**2 - guide**2) / (2.0 * far)
+        axis = away / far * (near + 1j * np.sqrt(np.maximum(lid**2 - near**2, 0.0))) / lid
+        return c, axis, np.abs(c + (m - 0.03j) * axis - sx - 1j * sy)
+
+    (_, _, low), (_, _, high), (c, axis, length) = placed(phi - step), placed(phi + step), placed(phi)
+    height = [(at + 0.42 * way).imag for at, way, _ in (placed(phi + step), placed(phi - step))]
+    torque = (20.0 * 9.81 * (height[0] - height[1]) - 800.0 * (high - low)) / (2.0 * step)
+    edge, turned = (c + (along + 1j * across) * axis)[[0, -1]], np.angle(axis[[0, -1]] * np.exp([0.0, -1j * math.pi / 3.0]))
+    met = 0.001 - np.sqrt(np.abs(edge - [0.9 + 0.1j, 0.35 + 0.85j]) ** 2 + (0.3 * turned) ** 2)
+    return torque, np.array([length[0] - 0.32, 0.56 - length[-1], *met])
+
+
+def best_hinge():
+    """The least peak that sequential quadratic programming finds from random starts, among the hinges that meet both poses."""
+    low, high = np.array(list(FREE.values())).T
+
+    def slack(x):
+        torque, left = hinge(x[:-1] * (high - low) + low)
+        return [*(x[-1] - torque / 50.0), *(x[-1] + torque / 50.0), *(100.0 * left)]
+
+    limits, bounds = {"type": "ineq", "fun": slack}, [(0.0, 1.0)] * len(FREE) + [(0.0, 100.0)]
+    starts = np.random.default_rng(3).random((8, len(FREE)))
+    every = [
+        minimize(lambda x: x[-1], [*start, 5.0], method="SLSQP", bounds=bounds, constraints=limits, options={"maxiter": 150})
+        for start in starts
+    ]
+    return min(50.0 * found.x[-1] for found in every if min(slack(found.x)) > -1e-6)
+
+
+@pytest.mark.slow
+def test_lid_on_a_four_bar_hinge_has_the_optimum_of_an_own_search():
+    results = [optlink.solve(optlink.read(HINGE), backend=backend, starts=4, designs=1).best for backend in ("ipopt", "slsqp")]
+    for best in results:
+        assert best.validation.valid
+        torque, left = hinge([best.design[name] for name in FREE], 2001)
+        assert np.max(np.abs(torque)) == pytest.approx(best.objective, rel=1e-5)
+        assert min(left) > -1e-6
+    assert results[0].objective == pytest.approx(results[1].objective, rel=1e-4)
+    assert results[0].objective == pytest.approx(best_hinge(), rel=1e-3)
