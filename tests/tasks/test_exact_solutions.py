@@ -127,6 +127,57 @@ def test_a_function_of_five_points_has_its_four_bar(seed):
     assert all(design.exact for design in result.designs)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_slide_of_five_points_has_its_slider_crank(seed):
+    """The guide is turned by 40 deg; the known linkage moves by formulas of this test."""
+    rng = np.random.default_rng(seed)
+    a, b, offset, forward = rng.uniform(0.02, 0.06), rng.uniform(0.1, 0.2), rng.uniform(-0.03, 0.03), seed % 2 == 0
+    phi = rng.uniform(0.0, math.tau) + np.cumsum(rng.uniform(0.2, 0.7, 5))
+    slide = a * np.cos(phi) + (1.0 if forward else -1.0) * np.sqrt(b * b - (offset - a * np.sin(phi)) ** 2)
+    table = {
+        "phi": [f"{math.degrees(x)!r} deg" for x in (phi - phi[0]).tolist()],
+        "s": [f"{s!r} m" for s in (slide - slide[0]).tolist()],
+    }
+    raw = {
+        "title": "five points of a slide",
+        "mechanism": {
+            "type": "dyads",
+            "ground": {"A": ["3 mm", "-2 mm"]},
+            "links": {
+                "crank": {"joints": ["A", "B"], "length": LENGTHS["crank"]},
+                "rod": {"joints": ["C", "B"], "length": LENGTHS["crank"]},
+                "slider": {"joints": ["C"]},
+            },
+            "guides": {
+                "G": {
+                    "slider": "slider",
+                    "through": "A",
+                    "direction": "40 deg",
+                    "offset": {"bounds": ["-20 m", "20 m"]},
+                }
+            },
+            "assembly": {"C": "either"},
+        },
+        "requirement": {
+            "kind": "function",
+            "law": table,
+            "output": "G",
+            "start": {"bounds": ["-360 deg", "360 deg"]},
+            "zero": {"bounds": ["-20 m", "20 m"]},
+        },
+        "limits": {"alignment": "0.1 deg"},
+    }
+    result = optlink.synthesis.exact(optlink.read(raw))
+    names = ("crank.length", "rod.length", "G.offset", "start", "zero")
+    found = [[design.values[name] for name in names] for design in result.designs]
+    start = (phi[0] + math.radians(40.0)) % math.tau
+    known = [[a, b, offset, start - turn, slide[0]] for turn in (0.0, math.tau)]
+    assert any(np.allclose(one, each, atol=1e-6) for one in found for each in known)
+    assert all(design.exact and design.valid for design in result.designs)
+    assert "slider-crank" in result.notes[0]
+    assert result.exact_solutions.sliders == 1
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_five_timed_points_have_their_four_bar(seed):
     rng = np.random.default_rng(seed)
