@@ -11,6 +11,8 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.linkage import four_bar, sweep
+from optlink.presentation.report_model import report_model_of
+from optlink.presentation.views import conclusions
 from tests.synthesis.test_five_poses import cranked
 
 POSES = Path(__file__).parents[1] / "data" / "five-poses"
@@ -42,6 +44,9 @@ def test_six_four_bars_without_a_usable_one_have_their_defects():
     assert {reason for one in found.solutions for reason in one.reasons} == {"circuit", "branch", "order"}
     assert all(one.reasons for one in found.solutions)
     assert not result.valid
+    model = report_model_of(result)
+    assert (model.verdict, model.unmoved) == ("No feasible design found", "none of the exact solutions is usable")
+    assert conclusions.design(result, ()) == "None of the 12 four-bars that meet the targets exactly is usable."
     assert (
         "6 four-bars, 12 with either link as the crank, 0 usable; the others fail by: branch 7, circuit 4, order 1"
         in result.notes[0]
