@@ -125,4 +125,6 @@ def report_model_of(outcome: DesignResult | Analysis) -> ReportModel:
         cycle = None if machine is None else analyze(machine)
     except InputError as error:
         return ReportModel(problem, outcome, None, error.faults[0].message)
-    return ReportModel(problem, outcome, cycle, "" if cycle else "no linkage was found")
+    exact = getattr(outcome, "exact_solutions", None)
+    missing = "none of the exact solutions is usable" if exact and exact.solutions else "no linkage was found"
+    return ReportModel(problem, outcome, cycle, "" if cycle else missing)

@@ -458,7 +458,7 @@ def design_of(result: Any) -> Design:
         return _machine(result)
     best, text = result.best, shown(result.refuted)
     if best is None:
-        words = text or "No design was found."
+        words = text or conclusions.none_usable(result)
         values = result.problem.model.design({})
         return Design(result.problem, values, "infeasible", conclusion=words, conflicts=(words,), result=result)
     infeasible = bool(text) or result.status is Status.INFEASIBLE

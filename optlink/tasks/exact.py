@@ -10,7 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from optlink.errors import InputError, Status
-from optlink.linkage.mechanism import Arm
+from optlink.linkage.bodies import FRAME, Guide, Link
+from optlink.linkage.dyads import RRP
+from optlink.linkage.fourbar import InnerFourBar
+from optlink.linkage.mechanism import Arm, Mechanism
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
 from optlink.problem.design import DesignProblem
@@ -25,6 +28,37 @@ from optlink.validation import validate
 CONDITIONS = 10  # of five poses with free timing or five timed points, on as many design variables of a four-bar
 TRIALS = ((0.3, 0.5), (1.1, -0.4))  # starts [rad], crank and output, with which a law must rise by the same
 GRASHOF, BOUNDED = "Grashof: ", " within its bounds"  # names of checks
+
+
+@dataclass(frozen=True)
+class SliderCrank:
+    """Crank, rod and guide of a linkage that is a slider-crank as a whole; `side` as that of the dyad."""
+
+    crank: Link
+    coupler: Link
+    pin: str
+    guide: Guide
+    side: int
+
+    @property
+    def names(self) -> tuple[str, str, str]:
+        """Names of the lengths of crank and rod, and of the offset of the guide."""
+        return str(self.crank.length), str(self.coupler.length), str(self.guide.offset)
+
+
+def slider_crank(linkage: Mechanism) -> SliderCrank | None:
+    """Return the slider-crank that a linkage is; None for any other, or if the guide does not count from the crank pivot."""
+    group, crank = linkage.groups[0], linkage.crank
+    if len(linkage.groups) > 1 or linkage.drives or linkage.limits is not None or not isinstance(group, RRP):
+        return None
+    pin, guide = group.outer
+    plain = crank.end == pin and {group.first.start, group.first.end} == {pin, group.inner}
+    placed = (guide.on, guide.through, guide.tilt) == (FRAME, crank.start, 0.0) and guide.at in ("", group.inner)
+    return SliderCrank(crank, group.first, pin, guide, group.side) if plain and placed else None
+
+
+def _loop(task: DesignProblem) -> InnerFourBar | SliderCrank | None:
+    return task.four_bar or slider_crank(task.linkage)
 
 
 @dataclass(frozen=True)
@@ -51,7 +85,7 @@ class FiveTargets:
         """Return the dyads, and the four-bars of two of them."""
         task = self.task
         if task.law_given:
-            return couplers(task.law.offsets, _rises(task, *TRIALS[0]))
+            return couplers(task.law.offsets, _rises(task, *TRIALS[0]), slides=task.slides)
         points = task.data.columns
         places = points[:, 0] + 1j * points[:, 1]
         if task.requirement.kind == "path":
@@ -71,10 +105,11 @@ class FiveTargets:
             len(real),
             sum(dyad.certified for dyad in real),
             self.roots.complex,
-            sum(dyad.kind != "RR" for dyad in real) + law * bool(real),
+            sum(dyad.kind != "RR" for dyad in real) + (law and not self.task.slides and bool(real)),
             self.roots.special,
             self.task.requirement.kind == "motion",
             tuple(one.solution for one in self.found),
+            "four-bar" if self.task.four_bar else "slider-crank",
         )
 
     @property
@@ -86,18 +121,20 @@ class FiveTargets:
         """Return a four-bar as a solution of the problem, with all reasons that exclude it."""
         task = self.task
         crank, coupler, rocker = _vectors(pair)
-        sizes = np.array([np.abs(each).max() for each in (crank, coupler, rocker)])
+        slides = pair.follower.slider
+        sizes = np.array([np.abs(each).max() for each in (crank, coupler, crank if slides else rocker)])
         if np.min(sizes) <= 1e-9 * np.max(sizes):
             return None
         across = (np.conj(coupler) * rocker).imag
         sine = np.abs(across) / (np.abs(coupler) * np.abs(rocker))
         transmission = float(np.min(np.arcsin(np.clip(sine, 0.0, 1.0))))
-        side = 1 if across[0] < 0.0 else -1  # the joint lies to the left of the line from the crank pin to the rocker pivot
+        # the joint lies to the left of the line from the crank pin to the rocker pivot, or forward of the pin along the guide
+        side = 1 if (across[0] < 0.0) != slides else -1
         values = _values(task, pair)
         reasons = list(pair.defects)
-        loops = [file.spec.four_bar for file in self.files]
+        loops = [_loop(file.spec) for file in self.files]
         variant = next((k for k, loop in enumerate(loops) if loop is not None and loop.side == side), None)
-        mode = "left" if side > 0 else "right"
+        mode = (("forward", "backward") if slides else ("left", "right"))[side < 0]
         certified = pair.crank.certified and pair.follower.certified
         design = None
         if not reasons and variant is None:
@@ -145,18 +182,21 @@ def applies(task: DesignProblem) -> bool:
     """Return whether a problem has finitely many exact solutions that are cheap to find.
 
     It is one of a four-bar with as many design variables as conditions: five poses with free timing, five points that are timed
-    from a free start, or five points of a law of the rocker with free start angles.
+    from a free start, or five points of a law of the rocker with free start angles. A slider-crank has such a law of its slide.
     """
-    loop = task.four_bar
+    loop = _loop(task)
     if loop is None or len(task.parts) != 1 or task.composed or task.robust is not None or len(task.data.columns) != POSES:
         return False
+    plain = task.four_bar
     if task.law_given:
         names = task.start_name, task.base_name
-        if task.task != "function" or task.everywhere or not {*names, *loop.names} <= set(task.free):
+        guides = {guide.name for guide in task.linkage.guides}
+        suitable = task.task == "function" if plain else task.requirement.kind == "function" and task.output in guides
+        if not suitable or task.everywhere or not {*names, *loop.names} <= set(task.free):
             return False
         return bool(np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12))
     timed = {"motion": "free", "path": "from start"}.get(task.requirement.kind)
-    marked = (loop.coupler.body, task.point) in task.linkage.marks
+    marked = plain is not None and (plain.coupler.body, task.point) in task.linkage.marks
     return timed == task.timing and marked and len(task.free) >= CONDITIONS and not task.meets_again
 
 
@@ -165,22 +205,41 @@ def _rises(task: DesignProblem, start: float, base: float) -> Array:
     return task.prescribed_outputs({**task.design({}), task.start_name: start, task.base_name: base}) - base
 
 
+def _joint(part: Array) -> complex:
+    """Return homogeneous coordinates as a complex number, of a point at infinity the direction to it."""
+    return complex(*part[:2]) / (part[2] or float(np.hypot(*part[:2])))
+
+
 def _vectors(pair: FourBarSolution) -> tuple[Array, Array, Array]:
-    """Return crank, coupler and rocker at all positions as complex numbers, each from its end nearer to the crank pivot."""
+    """Return crank, coupler and rocker at all positions as complex numbers, each from its end nearer to the crank pivot; for a
+    slider the normal of its line in place of the rocker.
+    """
     rotation = np.exp(1j * (pair.angles - pair.angles[0]))
-    (a, b), (d, c) = (
-        tuple(complex(*part[:2]) / part[2] for part in (dyad.pivot, dyad.point)) for dyad in (pair.crank, pair.follower)
-    )
-    pins, joints = (pair.places + rotation * (point - pair.places[0]) for point in (b, c))
-    return pins - a, joints - pins, d - joints
+    pins, joints = (pair.places + rotation * (_joint(dyad.point) - pair.places[0]) for dyad in (pair.crank, pair.follower))
+    end = _joint(pair.follower.pivot)
+    return pins - _joint(pair.crank.pivot), joints - pins, np.full(len(joints), end) if pair.follower.slider else end - joints
+
+
+def _slide_values(task: DesignProblem, pair: FourBarSolution, loop: SliderCrank) -> dict[str, float]:
+    """Return the quantities [SI] of a slider-crank by their names, as seen along its guide from the crank pivot."""
+    crank, coupler, _ = (each[0] for each in _vectors(pair))
+    joint, values, sense = crank + coupler, task.design({}), loop.guide.direction
+    turned = values[sense] if isinstance(sense, str) else sense  # crank angles of such a linkage count from the x axis
+    values |= dict(zip(loop.names, (abs(crank), abs(coupler), joint.imag), strict=True))
+    values[task.start_name] = float(np.angle(crank)) + turned - float(task.law.offsets[0])
+    values[task.base_name] = joint.real - float(_rises(task, *TRIALS[0])[0])
+    return {name: _within(task, name, value) for name, value in values.items()}
 
 
 def _values(task: DesignProblem, pair: FourBarSolution) -> dict[str, float]:
     """Return the quantities [SI] of a four-bar by their names; those of a law have the frame of the file."""
     loop, linkage = task.four_bar, task.linkage
-    assert loop is not None
+    if loop is None:
+        slides = slider_crank(linkage)
+        assert slides is not None
+        return _slide_values(task, pair, slides)
     crank, coupler, rocker = (each[0] for each in _vectors(pair))
-    pivot, far = (complex(*dyad.pivot[:2]) / dyad.pivot[2] for dyad in (pair.crank, pair.follower))
+    pivot, far = (_joint(dyad.pivot) for dyad in (pair.crank, pair.follower))
     size = float(loop.frame(task.design({}))[0]) if task.law_given else 1.0
     named: dict[object, float] = dict(zip(loop.names, (size * abs(each) for each in (crank, coupler, rocker)), strict=True))
     for place, at in zip(loop.pivots, (pivot, far), strict=True):
@@ -228,8 +287,8 @@ def exact(problem: AnyProblem) -> SynthesisResult:
     ----------
     problem : ProblemFile, str or Path
         A four-bar for five poses with free timing, five points timed from a free start, or five points of a law or function with
-        free start angles; all its dimensions are design variables. Of four poses, which two dyads of a curve meet, the best
-        four-bars are listed.
+        free start angles; or a slider-crank for five points of a law of its slide. All dimensions are design variables. Of four
+        poses, which two dyads of a curve meet, the best four-bars are listed.
 
     Returns
     -------
@@ -252,7 +311,7 @@ def exact(problem: AnyProblem) -> SynthesisResult:
     problem = problem_of(problem)
     pairs = of_two_dyads(problem.variants()[0].spec)
     if not pairs and not applies(problem.variants()[0].spec):
-        message = "only five poses, timed points or points of a function of a four-bar have finitely many exact solutions"
+        message = "only five poses, timed points or points of a function of one loop have finitely many exact solutions"
         remedy = "Give five of them, all dimensions and the start of the timing free; or leave out --all and requirement.exact"
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()

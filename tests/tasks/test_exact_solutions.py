@@ -11,6 +11,8 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.linkage import four_bar, sweep
+from optlink.presentation.report_model import report_model_of
+from optlink.presentation.views import conclusions
 from tests.synthesis.test_five_poses import cranked
 
 POSES = Path(__file__).parents[1] / "data" / "five-poses"
@@ -42,6 +44,9 @@ def test_six_four_bars_without_a_usable_one_have_their_defects():
     assert {reason for one in found.solutions for reason in one.reasons} == {"circuit", "branch", "order"}
     assert all(one.reasons for one in found.solutions)
     assert not result.valid
+    model = report_model_of(result)
+    assert (model.verdict, model.unmoved) == ("No feasible design found", "none of the exact solutions is usable")
+    assert conclusions.design(result, ()) == "None of the 12 four-bars that meet the targets exactly is usable."
     assert (
         "6 four-bars, 12 with either link as the crank, 0 usable; the others fail by: branch 7, circuit 4, order 1"
         in result.notes[0]
@@ -125,6 +130,57 @@ def test_a_function_of_five_points_has_its_four_bar(seed):
     found = [[10.0 * design.values[name] for name in ("crank", "coupler", "rocker")] for design in result.designs]
     assert any(np.allclose(one, sizes, rtol=1e-6) for one in found)
     assert all(design.exact for design in result.designs)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_slide_of_five_points_has_its_slider_crank(seed):
+    """The guide is turned by 40 deg; the known linkage moves by formulas of this test."""
+    rng = np.random.default_rng(seed)
+    a, b, offset, forward = rng.uniform(0.02, 0.06), rng.uniform(0.1, 0.2), rng.uniform(-0.03, 0.03), seed % 2 == 0
+    phi = rng.uniform(0.0, math.tau) + np.cumsum(rng.uniform(0.2, 0.7, 5))
+    slide = a * np.cos(phi) + (1.0 if forward else -1.0) * np.sqrt(b * b - (offset - a * np.sin(phi)) ** 2)
+    table = {
+        "phi": [f"{math.degrees(x)!r} deg" for x in (phi - phi[0]).tolist()],
+        "s": [f"{s!r} m" for s in (slide - slide[0]).tolist()],
+    }
+    raw = {
+        "title": "five points of a slide",
+        "mechanism": {
+            "type": "dyads",
+            "ground": {"A": ["3 mm", "-2 mm"]},
+            "links": {
+                "crank": {"joints": ["A", "B"], "length": LENGTHS["crank"]},
+                "rod": {"joints": ["C", "B"], "length": LENGTHS["crank"]},
+                "slider": {"joints": ["C"]},
+            },
+            "guides": {
+                "G": {
+                    "slider": "slider",
+                    "through": "A",
+                    "direction": "40 deg",
+                    "offset": {"bounds": ["-20 m", "20 m"]},
+                }
+            },
+            "assembly": {"C": "either"},
+        },
+        "requirement": {
+            "kind": "function",
+            "law": table,
+            "output": "G",
+            "start": {"bounds": ["-360 deg", "360 deg"]},
+            "zero": {"bounds": ["-20 m", "20 m"]},
+        },
+        "limits": {"alignment": "0.1 deg"},
+    }
+    result = optlink.synthesis.exact(optlink.read(raw))
+    names = ("crank.length", "rod.length", "G.offset", "start", "zero")
+    found = [[design.values[name] for name in names] for design in result.designs]
+    start = (phi[0] + math.radians(40.0)) % math.tau
+    known = [[a, b, offset, start - turn, slide[0]] for turn in (0.0, math.tau)]
+    assert any(np.allclose(one, each, atol=1e-6) for one in found for each in known)
+    assert all(design.exact and design.valid for design in result.designs)
+    assert "slider-crank" in result.notes[0]
+    assert result.exact_solutions.sliders == 1
 
 
 @pytest.mark.parametrize("seed", range(3))

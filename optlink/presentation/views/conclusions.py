@@ -32,8 +32,16 @@ def achieved(outcome: SynthesisResult) -> str:
     """Return what a design achieves, or why there is none."""
     best = outcome.best
     if best is None or outcome.conflict:
-        return shown(outcome.refuted) or "No design was found."
+        return shown(outcome.refuted) or none_usable(outcome)
     return _compared(best) if best.whole.of_cycle else _sentences(_optimised(best), sentence(best))
+
+
+def none_usable(outcome: SynthesisResult) -> str:
+    """Return that no design was found, or that none of the exact ones is usable."""
+    exact = outcome.exact_solutions
+    if exact is None or not exact.solutions:
+        return "No design was found."
+    return f"None of the {len(exact.solutions)} {exact.linkage}s that meet the targets exactly is usable."
 
 
 def _sentences(*sentences: str) -> str:

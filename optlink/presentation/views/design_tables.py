@@ -349,7 +349,8 @@ def _sizes(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
     if isinstance(design.assembly, str):
         remark = f"joint C lies to the {design.assembly} of B -> D{', chosen' * chosen}"
     rows.append(("assembly", strong(shown), "", quiet(remark)))
-    return table(NEAREST_DESIGN if design.status is Status.INFEASIBLE else "Design", "<><<", rows)
+    unusable = outcome.exact_solutions is not None and not outcome.designs
+    return table(NEAREST_DESIGN if unusable or design.status is Status.INFEASIBLE else "Design", "<><<", rows)
 
 
 def _figures(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:

@@ -42,7 +42,8 @@ class ExactSolutions:
 
     `real`, `certified`, `complex`: numbers of roots of the equations, of which there are four; `sliders`: those that are no links
     of finite length; `special`: a sentence about targets with infinitely many solutions, of which the best ones are listed, or
-    none; `either`: whether each linkage is listed twice, driven at either link.
+    none; `either`: whether each linkage is listed twice, driven at either link; `linkage`: what they are, "four-bar" or
+    "slider-crank".
     """
 
     task: str
@@ -53,6 +54,7 @@ class ExactSolutions:
     special: str
     either: bool
     solutions: tuple[ExactSolution, ...]
+    linkage: str = "four-bar"
 
     @property
     def usable(self) -> int:
@@ -74,7 +76,7 @@ class ExactSolutions:
         missing = "" if self.complete else f", {4 - self.certified - self.complex} not separated"
         sliders = f", {self.sliders} of them a slider or of no length" if self.sliders else ""
         count = len(self.solutions)
-        found = f"{count} four-bar{'s' * (count != 1)}, {self.usable} usable" if count else "no four-bar"
+        found = f"{count} {self.linkage}{'s' * (count != 1)}, {self.usable} usable" if count else f"no {self.linkage}"
         if self.either and count:
             found = f"{count // 2} four-bar{'s' * (count > 2)}, {count} with either link as the crank, {self.usable} usable"
         return f"{self.task}: {roots}{missing}{sliders}; {found}{self._others}"
@@ -89,7 +91,7 @@ class ExactSolutions:
 
 def document(found: ExactSolutions, displayed: Callable[[Mapping[str, float]], Mapping[str, float]]) -> dict[str, Any]:
     """Return the solutions as part of a JSON document, their dimensions `displayed` in units."""
-    shown = ("task", "real", "certified", "complex", "sliders", "complete", "special", "usable")
+    shown = ("task", "linkage", "real", "certified", "complex", "sliders", "complete", "special", "usable")
     solutions = [
         {name: getattr(one, name) for name in ("usable", "reasons", "certified", "assembly")}
         | {"transmission_deg": math.degrees(one.transmission), "design": displayed(one.values)}
