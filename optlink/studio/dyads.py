@@ -19,8 +19,7 @@ MAX_REACH = 30.0  # largest distance of what is drawn from the first pose, as a 
 
 def offered(problem: ProblemFile) -> bool:
     """Return whether two dyads of a curve make a design of a problem."""
-    spec = problem.spec
-    return bool(getattr(spec, "parts", ())) and applies(spec)
+    return problem.task == "path" and applies(problem.spec)
 
 
 def curves(problem: ProblemFile, driver: Any) -> dict[str, Any]:

@@ -58,5 +58,6 @@ def test_what_cannot_be_picked_is_refused(page: Page) -> None:
         assert answers[0]["type"] == "fault"
         assert words in answers[0]["message"]
     other = Page(patient=False)
+    assert not other.state("open", name="six-bar")["dyads"]
     assert not other.state("open", name="motion-3-poses")["dyads"]
     assert "only four poses" in other.ask("dyads")[0]["message"]
