@@ -11,7 +11,7 @@ from optlink.presentation.scene import regions_of
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile, load
-from optlink.studio import design as state, forms
+from optlink.studio import design as state, dyads, forms
 from optlink.studio.design import (
     Design,
     Follower,
@@ -233,6 +233,20 @@ class Session:
         chosen = self._curve.design(request.get("candidate"))
         self._begin([self._curve.document], design=chosen)
 
+    def _dyads(self, request: Mapping[str, Any]) -> None:
+        """Send the curves of the dyads of four poses, or the partners of a driver; a driver and a follower are a new design."""
+        assert self._history is not None
+        driver, follower = request.get("driver"), request.get("follower")
+        if follower is None:
+            self._answer("dyads", **dyads.curves(self._document.problem, driver))
+            return
+        document, self._design = dyads.joined(self._document, driver, follower)
+        self._history.add(document)
+        self._answer("kept", step="add", document=document.message())
+        self._reached = {}
+        self._answer("kept", step="settled")
+        self._show(self._design, document.problem, moving=False)
+
     # --- designs ------------------------------------------------------------------------------------------------------------
 
     def _definite(self, problem: ProblemFile) -> ProblemFile:
@@ -432,6 +446,7 @@ class Session:
         }
         if not moving:
             message |= {"tables": forms.groups(document.problem), "names": forms.names(document.problem)}
+            message["dyads"] = dyads.offered(document.problem)
         total = time.perf_counter()
         message["seconds"] = {"solve": done - self._begun, "total": total - self._begun}
         self._send(message)
@@ -474,6 +489,7 @@ _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
     "export": Session._export,
     "draw": Session._draw,
     "choose": Session._choose,
+    "dyads": Session._dyads,
 }
 
 

@@ -456,6 +456,29 @@ def test_a_four_bar_that_is_called_valid_is_drawn_as_verified(page):
     assert page.run(dashes) != "none"
 
 
+def test_two_dyads_are_picked_with_the_mouse(page):
+    """Of four poses: a driver on its blue part, a partner on a green one; each other problem has no such tool."""
+    page.open("motion-3-poses")
+    assert not page.find("#tool-dyads").is_displayed()
+    page.open("motion-4-poses")
+    page.find("#tool-dyads").click()
+    seen = "return document.querySelector(arguments[0])?.getAttribute('d') && canvas.dataset.tool === 'dyads'"
+    press = """const look = {clientX: 0, clientY: 0, bubbles: true, pointerId: 1};
+        const joint = [...document.querySelectorAll('#canvas .pin')].map((pin) => pin.getBoundingClientRect())[arguments[0]];
+        Object.assign(look, {clientX: joint.x + joint.width / 2, clientY: joint.y + joint.height / 2});
+        canvas.dispatchEvent(new PointerEvent('pointerdown', look));"""
+    page.until(seen, "#dyads .drives")
+    page.run(press, 0)  # the pivots of the linkage lie on the curve
+    page.until(seen, "#dyads .driver")
+    page.until("return /partner/.test(hint.textContent)")
+    assert page.run(seen, "#dyads .usable")
+    page.run(press, 3)
+    page.until("return canvas.dataset.tool === 'select' && !undo.disabled")
+    assert page.status() == "verified"
+    assert "exactly" in page.text("#conclusion")
+    assert page.run("return document.title").startswith("•")  # the file has the four-bar as its start
+
+
 @pytest.mark.slow
 def test_the_token_belongs_to_one_tab(driver):
     """A private file leads to the page; its tab can be reloaded, another one needs the address, and no cookie is set."""

@@ -3,6 +3,7 @@ import { Background } from "./background.js";
 import { dropDown, keyboard, takeFiles } from "./commands.js";
 import { Curve } from "./curve.js";
 import { $, download, hint, sentence, setText, svg, toast } from "./dom.js";
+import { Dyads } from "./dyads.js";
 import { Elements } from "./elements.js";
 import { Handles } from "./handles.js";
 import { keep, lost } from "./kept.js";
@@ -67,6 +68,7 @@ function frame() {
   linkage.place();
   knobs.draw();
   curve.draw();
+  dyads.draw();
   background.draw();
   if (shown) {
     live.mark(shown.id, "drawn");
@@ -121,6 +123,7 @@ const curve = new Curve(overlay, view, {
   },
   hint,
 });
+const dyads = new Dyads(overlay, view, { ask: (fields) => ask("dyads", fields), hint });
 const background = new Background(linkage.layers.below, overlay, view, choose);
 const motion = new Motion((at, position) => {
   linkage.show(at);
@@ -227,6 +230,12 @@ function take(next) {
   if (!next.moving && !next.searching && scene) {
     guide.show(handles, next.kind);
   }
+  if (!next.moving) {
+    $("tool-dyads").hidden = !next.dyads;
+    if (tool === "dyads") {
+      choose("select");
+    }
+  }
   knobs.infeasible = next.status === "infeasible" || next.status === "failed";
   knobs.take(handles);
   panel.take(state, handles);
@@ -293,6 +302,7 @@ const live = new Live(keptToken(), {
     redrawNow();
   },
   progress: ({ fraction, text }) => search.take(fraction, text),
+  dyads: (message) => (busy(false), dyads.take(message)),
   candidates: (message) => (busy(false), curve.candidates(message)),
   file({ name, media, text, files, changed_on_disk: stale }) {
     busy(false);
@@ -366,10 +376,12 @@ const search = new Search({
 // --- tools ------------------------------------------------------------------------------------------------------------------------
 
 let tool = "select";
+const TOOLS = ["select", "draw", "dyads", "back"];
 const HINTS = { draw: "Draw a curve in one stroke: end at its start to close it.", back: "Drag to move the background. Set its scale by two clicks and a length." };
 function choose(name) {
+  guide.done();
   tool = name;
-  for (const one of ["select", "draw", "back"]) {
+  for (const one of TOOLS) {
     $(`tool-${one}`).setAttribute("aria-pressed", String(one === name));
   }
   canvas.dataset.tool = name;
@@ -378,11 +390,13 @@ function choose(name) {
     background.stop();
   }
   hint(HINTS[name] || null);
+  dyads.open(name === "dyads");
 }
-for (const name of ["select", "draw", "back"]) {
+for (const name of TOOLS) {
   $(`tool-${name}`).addEventListener("click", () => choose(tool === name ? "select" : name));
 }
-view.follow((event) => tool === "draw" || (tool === "back" && (background.busy || background.node)) || event.target.closest?.(".handle"));
+canvas.addEventListener("pointermove", (event) => tool === "dyads" && dyads.move(event));
+view.follow((event) => tool === "draw" || (tool === "dyads" && dyads.near(event) !== null) || (tool === "back" && (background.busy || background.node)) || event.target.closest?.(".handle"));
 canvas.addEventListener("pointerdown", (event) => {
   if (tool === "draw") {
     canvas.setPointerCapture(event.pointerId);
@@ -395,6 +409,8 @@ canvas.addEventListener("pointerdown", (event) => {
         choose("select");
       }
     }, { once: true });
+  } else if (tool === "dyads") {
+    dyads.pick(event);
   } else if (tool === "back" && background.busy) {
     background.click(view.of(event));
     event.preventDefault();
