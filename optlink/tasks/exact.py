@@ -1,4 +1,4 @@
-"""Find all linkages that meet five targets exactly: poses, a function, or timed points of a four-bar."""
+"""Find all linkages that meet targets exactly: five poses, timed points or points of a function of a four-bar, or nine points."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from optlink.problem.arguments import typed
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.requirements.base import MARK, START
-from optlink.synthesis.five_poses import POSES, FivePoses, FourBarSolution, couplers, dyads, timed_paths
+from optlink.synthesis.five_poses import POSES, FourBarSolution, couplers, dyads, link, timed_paths
+from optlink.synthesis.poses_and_points import four_bars
 from optlink.tasks.results.design import NO_SEARCH, LinkageDesign, SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolution, ExactSolutions
 from optlink.tasks.search import mode_of
@@ -41,41 +42,36 @@ class FiveTargets:
 
     def __init__(self, files: Sequence[ProblemFile]) -> None:
         self.files, self.task = files, files[0].spec
-        self.roots, pairs = self._solved()
+        self.counts, pairs = self._solved()
         self.found = sorted(
             (found for pair in pairs if (found := self._judged(pair)) is not None),
             key=lambda one: (len(one.solution.reasons), -one.solution.transmission),
         )
 
-    def _solved(self) -> tuple[FivePoses, Sequence[FourBarSolution]]:
-        """Return the dyads, and the four-bars of two of them."""
+    def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
+        """Return the numbers of roots, and the four-bars that they make, each with the link that is its crank."""
         task = self.task
-        if task.law_given:
-            return couplers(task.law.offsets, _rises(task, *TRIALS[0]))
         points = task.data.columns
         places = points[:, 0] + 1j * points[:, 1]
-        if task.requirement.kind == "path":
+        pairs: Sequence[FourBarSolution]
+        if task.law_given:
+            kind, (found, pairs) = "five points of a function", couplers(task.law.offsets, _rises(task, *TRIALS[0]))
+        elif task.requirement.kind == "path":
             assert task.data.offsets is not None
-            return timed_paths(places, task.data.offsets)
-        angles = np.unwrap(np.arctan2(points[:, 3], points[:, 2]))
-        found = dyads(places, angles)
-        links = [dyad for dyad in found.real if dyad.kind == "RR"]
-        return found, [FourBarSolution(a, b, places, angles) for a in links for b in links if a is not b]
+            kind, (found, pairs) = "five timed points", timed_paths(places, task.data.offsets)
+        else:
+            angles = np.unwrap(np.arctan2(points[:, 3], points[:, 2]))
+            kind, found = "five poses", dyads(places, angles)
+            links = [dyad for dyad in found.real if dyad.kind == "RR"]
+            pairs = [FourBarSolution(a, b, places, angles) for a in links for b in links if a is not b]
+        sliders = sum(dyad.kind != "RR" for dyad in found.real) + task.law_given * bool(found.real)
+        certified, either = sum(dyad.certified for dyad in found.real), task.requirement.kind == "motion"
+        return ExactSolutions(kind, len(found.real), certified, found.complex, sliders, found.special, either, ()), pairs
 
     @property
     def summary(self) -> ExactSolutions:
         """All solutions as data."""
-        real, law = self.roots.real, self.task.law_given
-        return ExactSolutions(
-            {"motion": "five poses", "path": "five timed points"}.get(self.task.requirement.kind, "five points of a function"),
-            len(real),
-            sum(dyad.certified for dyad in real),
-            self.roots.complex,
-            sum(dyad.kind != "RR" for dyad in real) + law * bool(real),
-            self.roots.special,
-            self.task.requirement.kind == "motion",
-            tuple(one.solution for one in self.found),
-        )
+        return replace(self.counts, solutions=tuple(one.solution for one in self.found))
 
     @property
     def usable(self) -> list[tuple[int, LinkageDesign]]:
@@ -126,6 +122,41 @@ class FiveTargets:
         return LinkageDesign(file, full, angles, checked.objective, Status.NOT_SEARCHED, checked)
 
 
+class NinePoints(FiveTargets):
+    """The exact solutions of a path of nine points without timing."""
+
+    def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
+        """Return the numbers of triples of cognates, and the real four-bars, each driven at either link."""
+        points = self.task.data.columns
+        places = points[:, 0] + 1j * points[:, 1]
+        found = four_bars(places)
+        pairs = []
+        for joints, pivots, angles in zip(found.joints, found.pivots, found.angles, strict=True):
+            one, other = (link(*ends, found.size) for ends in zip(joints, pivots, strict=True))
+            pairs += [FourBarSolution(*links, places, angles) for links in ((one, other), (other, one))]
+        real, complex_ones = found.real, found.found - found.real
+        counted = "triples of cognates"
+        return ExactSolutions("nine points", real, real, complex_ones, 0, "", True, (), found.expected, counted), pairs
+
+
+def nine_points(task: DesignProblem) -> bool:
+    """Return whether a problem has finitely many exact solutions that take seconds: nine points of a four-bar, free timing."""
+    return (
+        _single_four_bar(task, 9)
+        and (task.requirement.kind, task.timing) == ("path", "free")
+        and len(task.free) >= 9
+        and not task.meets_again
+    )
+
+
+def _single_four_bar(task: DesignProblem, count: int) -> bool:
+    """Return whether a problem is one of a four-bar alone with a number of targets, of a point of its coupler if of any."""
+    loop = task.four_bar
+    if loop is None or len(task.parts) != 1 or task.composed or task.robust is not None or len(task.data.columns) != count:
+        return False
+    return task.law_given or (loop.coupler.body, task.point) in task.linkage.marks
+
+
 def _failures(design: LinkageDesign) -> Iterator[str]:
     """Yield the checks that a design fails, as reasons; without those that only follow from a crank that does not turn."""
     angles, task = design.crank_angles, design.task
@@ -147,17 +178,17 @@ def applies(task: DesignProblem) -> bool:
     It is one of a four-bar with as many design variables as conditions: five poses with free timing, five points that are timed
     from a free start, or five points of a law of the rocker with free start angles.
     """
-    loop = task.four_bar
-    if loop is None or len(task.parts) != 1 or task.composed or task.robust is not None or len(task.data.columns) != POSES:
+    if not _single_four_bar(task, POSES):
         return False
     if task.law_given:
+        loop = task.four_bar
+        assert loop is not None
         names = task.start_name, task.base_name
         if task.task != "function" or task.everywhere or not {*names, *loop.names} <= set(task.free):
             return False
         return bool(np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12))
     timed = {"motion": "free", "path": "from start"}.get(task.requirement.kind)
-    marked = (loop.coupler.body, task.point) in task.linkage.marks
-    return timed == task.timing and marked and len(task.free) >= CONDITIONS and not task.meets_again
+    return timed == task.timing and len(task.free) >= CONDITIONS and not task.meets_again
 
 
 def _rises(task: DesignProblem, start: float, base: float) -> Array:
@@ -227,8 +258,8 @@ def exact(problem: AnyProblem) -> SynthesisResult:
     Parameters
     ----------
     problem : ProblemFile, str or Path
-        A four-bar for five poses with free timing, five points timed from a free start, or five points of a law or function with
-        free start angles; all its dimensions are design variables.
+        A four-bar for five poses with free timing, five points timed from a free start, five points of a law or function with
+        free start angles, or nine points with free timing; all its dimensions are design variables.
 
     Returns
     -------
@@ -247,12 +278,14 @@ def exact(problem: AnyProblem) -> SynthesisResult:
     (4, 12)
     """
     problem = problem_of(problem)
-    if not applies(problem.variants()[0].spec):
-        message = "only five poses, timed points or points of a function of a four-bar have finitely many exact solutions"
-        remedy = "Give five of them, leave all dimensions and the start of the timing free, or leave --all out"
+    task = problem.variants()[0].spec
+    kind = FiveTargets if applies(task) else NinePoints
+    if kind is NinePoints and not nine_points(task):
+        message = "only five poses, timed points or points of a function, and nine points, have finitely many exact solutions"
+        remedy = "Give as many, leave all dimensions and the start of the timing free, or leave --all out"
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()
-    targets = FiveTargets(problem.variants())
+    targets = kind(problem.variants())
     designs = [design for _, design in targets.usable]
     nearest = next((one.design for one in targets.found if one.design is not None), None)
     shown = designs or ([] if nearest is None else [nearest])

@@ -1,4 +1,4 @@
-"""All linkages that meet five targets exactly, as data: each is usable, or has a reason for which it is not."""
+"""All linkages that meet targets exactly, as data: each is usable, or has a reason for which it is not."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -39,9 +39,9 @@ class ExactSolution:
 class ExactSolutions:
     """All linkages that meet the targets, usable ones first.
 
-    `real`, `certified`, `complex`: numbers of roots of the equations, of which there are four; `sliders`: those that are no links
-    of finite length; `special`: a sentence about targets with infinitely many solutions, of which none is listed; `either`:
-    whether each linkage is listed twice, driven at either link.
+    `real`, `certified`, `complex`: numbers of roots of the equations, of which there are `roots`; `sliders`: those that are no
+    links of finite length; `special`: a sentence about targets with infinitely many solutions, of which none is listed; `either`:
+    whether each linkage is listed twice, driven at either link; `counted`: what the roots are.
     """
 
     task: str
@@ -52,6 +52,8 @@ class ExactSolutions:
     special: str
     either: bool
     solutions: tuple[ExactSolution, ...]
+    roots: int = 4
+    counted: str = "roots"
 
     @property
     def usable(self) -> int:
@@ -61,7 +63,7 @@ class ExactSolutions:
     @property
     def complete(self) -> bool:
         """Whether each root is either certified to be real, or complex."""
-        return not self.special and self.certified + self.complex == 4
+        return not self.special and self.certified + self.complex == self.roots
 
     @property
     def sentence(self) -> str:
@@ -69,8 +71,9 @@ class ExactSolutions:
         if self.special:
             return f"{self.task}: {self.special}"
         proof = "certified" if self.certified == self.real else f"{self.certified} of them certified"
-        roots = f"{self.real} of 4 roots are real ({proof})" if self.real else "none of the 4 roots is real"
-        missing = "" if self.complete else f", {4 - self.certified - self.complex} not separated"
+        all_of_them = f"{self.roots} {self.counted}"
+        roots = f"{self.real} of {all_of_them} are real ({proof})" if self.real else f"none of the {all_of_them} is real"
+        missing = "" if self.complete else f", {self.roots - self.certified - self.complex} not found or not separated"
         sliders = f", {self.sliders} of them a slider or of no length" if self.sliders else ""
         count = len(self.solutions)
         found = f"{count} four-bar{'s' * (count != 1)}, {self.usable} usable" if count else "no four-bar"
@@ -81,7 +84,7 @@ class ExactSolutions:
 
 def document(found: ExactSolutions, displayed: Callable[[Mapping[str, float]], Mapping[str, float]]) -> dict[str, Any]:
     """Return the solutions as part of a JSON document, their dimensions `displayed` in units."""
-    shown = ("task", "real", "certified", "complex", "sliders", "complete", "special", "usable")
+    shown = ("task", "roots", "real", "certified", "complex", "sliders", "complete", "special", "usable")
     solutions = [
         {name: getattr(one, name) for name in ("usable", "reasons", "certified", "assembly")}
         | {"transmission_deg": math.degrees(one.transmission), "design": displayed(one.values)}
