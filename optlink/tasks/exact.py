@@ -1,4 +1,4 @@
-"""Find all linkages that meet five targets exactly: poses, a function, or timed points of a four-bar."""
+"""Find all linkages that meet targets exactly: five poses, timed points or points of a function of a four-bar, or nine points."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from optlink.problem.arguments import typed
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.requirements.base import MARK, START
-from optlink.synthesis.five_poses import POSES, FivePoses, FourBarSolution, couplers, dyads, timed_paths
+from optlink.synthesis.five_poses import POSES, FourBarSolution, couplers, dyads, link, timed_paths
+from optlink.synthesis.poses_and_points import four_bars
 from optlink.tasks.results.design import NO_SEARCH, LinkageDesign, SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolution, ExactSolutions
 from optlink.tasks.search import mode_of
@@ -75,42 +76,39 @@ class FiveTargets:
 
     def __init__(self, files: Sequence[ProblemFile]) -> None:
         self.files, self.task = files, files[0].spec
-        self.roots, pairs = self._solved()
+        self.counts, pairs = self._solved()
         self.found = sorted(
             (found for pair in pairs if (found := self._judged(pair)) is not None),
             key=lambda one: (len(one.solution.reasons), -one.solution.transmission),
         )
 
-    def _solved(self) -> tuple[FivePoses, Sequence[FourBarSolution]]:
-        """Return the dyads, and the four-bars of two of them."""
+    def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
+        """Return the numbers of roots, and the four-bars that they make, each with the link that is its crank."""
         task = self.task
-        if task.law_given:
-            return couplers(task.law.offsets, _rises(task, *TRIALS[0]), slides=task.slides)
         points = task.data.columns
         places = points[:, 0] + 1j * points[:, 1]
-        if task.requirement.kind == "path":
+        pairs: Sequence[FourBarSolution]
+        if task.law_given:
+            kind = "five points of a function"
+            found, pairs = couplers(task.law.offsets, _rises(task, *TRIALS[0]), slides=task.slides)
+        elif task.requirement.kind == "path":
             assert task.data.offsets is not None
-            return timed_paths(places, task.data.offsets)
-        angles = np.unwrap(np.arctan2(points[:, 3], points[:, 2]))
-        found = dyads(places, angles)
-        links = [dyad for dyad in found.real if dyad.kind == "RR"]
-        return found, [FourBarSolution(a, b, places, angles) for a in links for b in links if a is not b]
+            kind, (found, pairs) = "five timed points", timed_paths(places, task.data.offsets)
+        else:
+            angles = np.unwrap(np.arctan2(points[:, 3], points[:, 2]))
+            kind, found = "five poses", dyads(places, angles)
+            links = [dyad for dyad in found.real if dyad.kind == "RR"]
+            pairs = [FourBarSolution(a, b, places, angles) for a in links for b in links if a is not b]
+        frame = task.law_given and not task.slides and bool(found.real)
+        sliders = sum(dyad.kind != "RR" for dyad in found.real) + frame
+        certified, either = sum(dyad.certified for dyad in found.real), task.requirement.kind == "motion"
+        linkage = "four-bar" if task.four_bar else "slider-crank"
+        return ExactSolutions(kind, len(found.real), certified, found.complex, sliders, found.special, either, (), linkage), pairs
 
     @property
     def summary(self) -> ExactSolutions:
         """All solutions as data."""
-        real, law = self.roots.real, self.task.law_given
-        return ExactSolutions(
-            {"motion": "five poses", "path": "five timed points"}.get(self.task.requirement.kind, "five points of a function"),
-            len(real),
-            sum(dyad.certified for dyad in real),
-            self.roots.complex,
-            sum(dyad.kind != "RR" for dyad in real) + (law and not self.task.slides and bool(real)),
-            self.roots.special,
-            self.task.requirement.kind == "motion",
-            tuple(one.solution for one in self.found),
-            "four-bar" if self.task.four_bar else "slider-crank",
-        )
+        return replace(self.counts, solutions=tuple(one.solution for one in self.found))
 
     @property
     def usable(self) -> list[tuple[int, LinkageDesign]]:
@@ -163,6 +161,45 @@ class FiveTargets:
         return LinkageDesign(file, full, angles, checked.objective, Status.NOT_SEARCHED, checked)
 
 
+class NinePoints(FiveTargets):
+    """The exact solutions of a path of nine points without timing."""
+
+    def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
+        """Return the numbers of triples of cognates, and the real four-bars, each driven at either link."""
+        points = self.task.data.columns
+        places = points[:, 0] + 1j * points[:, 1]
+        found = four_bars(places)
+        pairs = []
+        for joints, pivots, angles in zip(found.joints, found.pivots, found.angles, strict=True):
+            one, other = (link(*ends, found.size) for ends in zip(joints, pivots, strict=True))
+            pairs += [FourBarSolution(*links, places, angles) for links in ((one, other), (other, one))]
+        real, complex_ones = found.real, found.found - found.real
+        counts = ExactSolutions("nine points", real, real, complex_ones, 0, "", True, ())
+        return replace(counts, roots=found.expected, counted="triples of cognates"), pairs
+
+
+def nine_points(task: DesignProblem) -> bool:
+    """Return whether a problem has finitely many exact solutions that take seconds: nine points of a four-bar, free timing."""
+    return (
+        _alone(task, 9)
+        and _marked(task)
+        and (task.requirement.kind, task.timing) == ("path", "free")
+        and len(task.free) >= 9
+        and not task.meets_again
+    )
+
+
+def _alone(task: DesignProblem, count: int) -> bool:
+    """Return whether a problem has one requirement, of a number of targets, and nothing beside it."""
+    return len(task.parts) == 1 and not task.composed and task.robust is None and len(task.data.columns) == count
+
+
+def _marked(task: DesignProblem) -> bool:
+    """Return whether a problem is one of a four-bar, whose coupler has the point."""
+    loop = task.four_bar
+    return loop is not None and (loop.coupler.body, task.point) in task.linkage.marks
+
+
 def _failures(design: LinkageDesign) -> Iterator[str]:
     """Yield the checks that a design fails, as reasons; without those that only follow from a crank that does not turn."""
     angles, task = design.crank_angles, design.task
@@ -185,19 +222,17 @@ def applies(task: DesignProblem) -> bool:
     from a free start, or five points of a law of the rocker with free start angles. A slider-crank has such a law of its slide.
     """
     loop = _loop(task)
-    if loop is None or len(task.parts) != 1 or task.composed or task.robust is not None or len(task.data.columns) != POSES:
+    if loop is None or not _alone(task, POSES):
         return False
-    plain = task.four_bar
     if task.law_given:
         names = task.start_name, task.base_name
         guides = {guide.name for guide in task.linkage.guides}
-        suitable = task.task == "function" if plain else task.requirement.kind == "function" and task.output in guides
+        suitable = task.task == "function" if task.four_bar else task.requirement.kind == "function" and task.output in guides
         if not suitable or task.everywhere or not {*names, *loop.names} <= set(task.free):
             return False
         return bool(np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12))
     timed = {"motion": "free", "path": "from start"}.get(task.requirement.kind)
-    marked = plain is not None and (plain.coupler.body, task.point) in task.linkage.marks
-    return timed == task.timing and marked and len(task.free) >= CONDITIONS and not task.meets_again
+    return timed == task.timing and _marked(task) and len(task.free) >= CONDITIONS and not task.meets_again
 
 
 def _rises(task: DesignProblem, start: float, base: float) -> Array:
@@ -286,9 +321,9 @@ def exact(problem: AnyProblem) -> SynthesisResult:
     Parameters
     ----------
     problem : ProblemFile, str or Path
-        A four-bar for five poses with free timing, five points timed from a free start, or five points of a law or function with
-        free start angles; or a slider-crank for five points of a law of its slide. All dimensions are design variables. Of four
-        poses, which two dyads of a curve meet, the best four-bars are listed.
+        A four-bar for five poses with free timing, five points timed from a free start, five points of a law or function with
+        free start angles, or nine points with free timing; or a slider-crank for five points of a law of its slide. All
+        dimensions are design variables. Of four poses, which two dyads of a curve meet, the best four-bars are listed.
 
     Returns
     -------
@@ -309,13 +344,15 @@ def exact(problem: AnyProblem) -> SynthesisResult:
     from optlink.tasks.four_poses import FourTargets, applies as of_two_dyads
 
     problem = problem_of(problem)
-    pairs = of_two_dyads(problem.variants()[0].spec)
-    if not pairs and not applies(problem.variants()[0].spec):
-        message = "only five poses, timed points or points of a function of one loop have finitely many exact solutions"
-        remedy = "Give five of them, all dimensions and the start of the timing free; or leave out --all and requirement.exact"
+    task = problem.variants()[0].spec
+    kinds = ((FourTargets, of_two_dyads), (NinePoints, nine_points), (FiveTargets, applies))
+    kind = next((kind for kind, suits in kinds if suits(task)), None)
+    if kind is None:
+        message = "only five poses, timed points or points of a function, and nine points, have finitely many exact solutions"
+        remedy = "Give as many, all dimensions and the start of the timing free; or leave out --all and requirement.exact"
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()
-    targets = (FourTargets if pairs else FiveTargets)(problem.variants())
+    targets = kind(problem.variants())
     designs = [design for _, design in targets.usable]
     nearest = next((one.design for one in targets.found if one.design is not None), None)
     shown = designs or ([] if nearest is None else [nearest])

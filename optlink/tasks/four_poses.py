@@ -14,7 +14,7 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
-from optlink.synthesis.five_poses import FivePoses, FourBarSolution, link
+from optlink.synthesis.five_poses import FourBarSolution, link
 from optlink.synthesis.four_poses import DEFECTS, POSES, DyadCurves, Pairs, curves
 from optlink.tasks.exact import CONDITIONS, FiveTargets
 from optlink.tasks.results.design import SynthesisResult, of_designs
@@ -53,13 +53,8 @@ class FourTargets(FiveTargets):
         super().__init__(files)
         self.found = self.found[:DESIGNS]
 
-    @property
-    def summary(self) -> ExactSolutions:
-        """How many pairs of dyads pass the poses, and the best ones as data."""
-        return ExactSolutions("four poses", 0, 0, 0, 0, self.sentence, False, tuple(one.solution for one in self.found))
-
-    def _solved(self) -> tuple[FivePoses, Sequence[FourBarSolution]]:
-        """Return no roots, and varied four-bars that pass the poses without a defect and within the bounds, best first."""
+    def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
+        """Return how many pairs of dyads pass the poses, and varied four-bars that do so within the bounds, best first."""
         found = self.curves
         points, pivots = found.dyads
         for row in self.chosen or ():
@@ -68,7 +63,8 @@ class FourTargets(FiveTargets):
                 raise InputError(message, "Give a row of `dyad_curves`", self.files[0].file, "driver, follower", row)
         rows = [self.chosen] if self.chosen else [] if found.special else list(self._best())
         dyads = {k: link(points[k], pivots[k], found.size) for pair in rows for k in pair}
-        return FivePoses(), [FourBarSolution(dyads[i], dyads[k], found.places, found.angles) for i, k in rows]
+        counts = ExactSolutions("four poses", 0, 0, 0, 0, self.sentence, False, ())
+        return counts, [FourBarSolution(dyads[i], dyads[k], found.places, found.angles) for i, k in rows]
 
     def _best(self) -> Iterator[tuple[int, int]]:
         """Yield driver and follower of varied pairs, the one with the best transmission angle first, and compose the sentence."""

@@ -206,6 +206,32 @@ def test_five_timed_points_have_their_four_bar(seed):
     assert all(design.exact for design in result.designs)
 
 
+@pytest.mark.slow
+def test_nine_points_of_a_crank_rocker_list_it_and_tell_why_others_are_no_use():
+    sizes, *_ = cranked(np.random.default_rng(0))
+    phi = np.linspace(0.0, 5.5, 9)
+    _, points = motion_of(sizes, phi, -1)
+    rows = [{"x": f"{float(x)!r} m", "y": f"{float(y)!r} m"} for x, y in points[:, :2]]
+    raw = {
+        "title": "nine points",
+        "mechanism": PLACED,
+        "requirement": {"kind": "path", "points": rows},
+        "limits": {"transmission_angle": ["0.1 deg", "179.9 deg"], "alignment": "0.1 deg"},
+    }
+    result = optlink.synthesis.exact(optlink.read(raw))
+    found = result.exact_solutions
+    assert found.roots == 1442
+    assert found.complete
+    assert len(found.solutions) == 6 * found.real
+    assert found.usable == len(result.designs)
+    lengths = [[design.values[name] for name in ("crank", "coupler", "rocker", "frame")] for design in result.designs]
+    assert any(np.allclose(one, [*sizes, 1.0], rtol=1e-6) for one in lengths)
+    assert all(design.exact and design.valid for design in result.designs)
+    reasons = {reason.partition(":")[0] for one in found.solutions for reason in one.reasons}
+    assert {"circuit", "order"} <= reasons
+    assert f"of 1442 triples of cognates are real (certified); {3 * found.real} four-bars" in found.sentence
+
+
 def test_problems_of_other_kinds_are_refused():
     with pytest.raises(optlink.InputError, match="finitely many exact solutions"):
         optlink.synthesis.exact("motion-3-poses")

@@ -275,7 +275,7 @@ def _bounds(certificate: Certificate, title: str, shown: Shown) -> ChartSpec:
     return ChartSpec("bounds", name, [Panel(axis, curves, 1.4)], x, heading, certificate.text, cursor=False)
 
 
-MAX_OPTIMA, MAX_VARIABLES = 12, 6  # largest number of optima listed, and of their design variables
+MAX_OPTIMA, MAX_VARIABLES, MOST_EXACT = 12, 6, 24  # largest numbers of optima, their design variables, and exact solutions listed
 NEAREST_DESIGN = "Nearest design found (it does not meet the limits)"
 BOUNDED = " within its bounds"  # end of the names of the checks of bounds
 RELAXED_NOTE = "; <=, >=: its improvement if the bound is relaxed by that much"
@@ -522,13 +522,13 @@ def optima(outcome: SynthesisResult) -> TableSpec | None:
 
 
 def exact_solutions(outcome: SynthesisResult) -> TableSpec | None:
-    """Tabulate all linkages that meet five targets: usable ones with their dimensions, the others with the reason."""
+    """Tabulate all linkages that meet exact targets: usable ones with their dimensions, the others with the reason."""
     found = outcome.exact_solutions
     if found is None or not found.solutions:
         return None
     model, rows = outcome.problem.model, list[Row]()
     names = [name for name in model.free if model.quantities[name].kind == "length"][:MAX_VARIABLES]
-    for k, one in enumerate(found.solutions, start=1):
+    for k, one in enumerate(found.solutions[:MOST_EXACT], start=1):
         sizes = [number(one.values[name] * model.display(name)[0], 4) for name in names]
         angle = fixed(math.degrees(one.transmission), 1)
         rows.append((str(k), *sizes, angle, Span(", ".join(one.reasons[:2])) if one.reasons else good("usable")))
@@ -536,7 +536,10 @@ def exact_solutions(outcome: SynthesisResult) -> TableSpec | None:
     units = joined(sorted({model.display(name)[1] for name in names}))
     notes = [f"sizes in {units}; transmission angle from 0 or 180 deg: least over the motion if usable, else at the targets"]
     notes += [f"{name}: {words}" for name, words in DEFECTS.items() if any(name in one.reasons for one in found.solutions)]
-    return table("The best exact solutions" if found.special else "All exact solutions", columns, rows, notes=map(quiet, notes))
+    if more := len(found.solutions) - len(rows):
+        notes.append(f"{more} more are in --json")
+    title = "The best exact solutions" if found.special else "All exact solutions"
+    return table(title, columns, rows, notes=map(quiet, notes))
 
 
 def backends(outcome: SynthesisResult) -> TableSpec:

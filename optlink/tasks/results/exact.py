@@ -1,4 +1,4 @@
-"""All linkages that meet five targets exactly, as data: each is usable, or has a reason for which it is not."""
+"""All linkages that meet targets exactly, as data: each is usable, or has a reason for which it is not."""
 
 import math
 from collections import Counter
@@ -40,10 +40,10 @@ class ExactSolution:
 class ExactSolutions:
     """All linkages that meet the targets, usable ones first.
 
-    `real`, `certified`, `complex`: numbers of roots of the equations, of which there are four; `sliders`: those that are no links
-    of finite length; `special`: a sentence about targets with infinitely many solutions, of which the best ones are listed, or
-    none; `either`: whether each linkage is listed twice, driven at either link; `linkage`: what they are, "four-bar" or
-    "slider-crank".
+    `real`, `certified`, `complex`: numbers of roots of the equations, of which there are `roots`; `sliders`: those that are no
+    links of finite length; `special`: a sentence about targets with infinitely many solutions, of which the best ones are listed,
+    or none; `either`: whether each linkage is listed twice, driven at either link; `linkage`: what they are, "four-bar" or
+    "slider-crank"; `counted`: what the roots are.
     """
 
     task: str
@@ -55,6 +55,8 @@ class ExactSolutions:
     either: bool
     solutions: tuple[ExactSolution, ...]
     linkage: str = "four-bar"
+    roots: int = 4
+    counted: str = "roots"
 
     @property
     def usable(self) -> int:
@@ -64,7 +66,7 @@ class ExactSolutions:
     @property
     def complete(self) -> bool:
         """Whether each root is either certified to be real, or complex."""
-        return not self.special and self.certified + self.complex == 4
+        return not self.special and self.certified + self.complex == self.roots
 
     @property
     def sentence(self) -> str:
@@ -72,8 +74,9 @@ class ExactSolutions:
         if self.special:
             return f"{self.task}: {self.special}"
         proof = "certified" if self.certified == self.real else f"{self.certified} of them certified"
-        roots = f"{self.real} of 4 roots are real ({proof})" if self.real else "none of the 4 roots is real"
-        missing = "" if self.complete else f", {4 - self.certified - self.complex} not separated"
+        all_of_them = f"{self.roots} {self.counted}"
+        roots = f"{self.real} of {all_of_them} are real ({proof})" if self.real else f"none of the {all_of_them} is real"
+        missing = "" if self.complete else f", {self.roots - self.certified - self.complex} not found or not separated"
         sliders = f", {self.sliders} of them a slider or of no length" if self.sliders else ""
         count = len(self.solutions)
         found = f"{count} {self.linkage}{'s' * (count != 1)}, {self.usable} usable" if count else f"no {self.linkage}"
@@ -91,7 +94,7 @@ class ExactSolutions:
 
 def document(found: ExactSolutions, displayed: Callable[[Mapping[str, float]], Mapping[str, float]]) -> dict[str, Any]:
     """Return the solutions as part of a JSON document, their dimensions `displayed` in units."""
-    shown = ("task", "linkage", "real", "certified", "complex", "sliders", "complete", "special", "usable")
+    shown = ("task", "linkage", "roots", "real", "certified", "complex", "sliders", "complete", "special", "usable")
     solutions = [
         {name: getattr(one, name) for name in ("usable", "reasons", "certified", "assembly")}
         | {"transmission_deg": math.degrees(one.transmission), "design": displayed(one.values)}

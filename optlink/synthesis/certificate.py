@@ -1,0 +1,158 @@
+"""Proofs that a solution of `homotopy` exists, is alone in its neighbourhood, and is real: Krawczyk's condition.
+
+Residuals are computed with about 32 digits (pairs of floats), all else in double precision, with bounds of the rounding errors.
+
+References
+----------
+R. Krawczyk, Computing 4 (1969) 187-201.
+T. J. Dekker, Numer. Math. 18 (1971) 224-242 (arithmetic of pairs).
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.vector2d import Array
+from optlink.synthesis.homotopy import LEAST, Complex, Problem, Roots, slopes
+
+PAIR, DOUBLE = 2.0**-94, 2.0**-46  # bounds of the rounding of a value, of pairs and of doubles, relative to the sum of its terms
+REACH = 0.1  # largest radius of a neighbourhood, relative to the coordinates
+HALF = 0.49  # of the contraction, with which the rounding of the bounds themselves is covered
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Complex numbers as sums of two arrays, of which the second one is the rounding error of the first."""
+
+    high: Complex
+    low: Any = 0.0
+
+    def __add__(self, other: "Pair") -> "Pair":
+        total = self.high + other.high
+        part = total - self.high
+        error = (self.high - (total - part)) + (other.high - part)
+        return _normal(total, error + (self.low + other.low))
+
+    def __mul__(self, other: "Pair") -> "Pair":
+        p, q = self.high, other.high
+        real, imag = _product(p.real, q.real), _product(p.real, q.imag)
+        both = _normal(real[0] + 1j * imag[0], real[1] + 1j * imag[1])
+        real, imag = _product(p.imag, q.imag), _product(p.imag, q.real)
+        return both + _normal(-real[0] + 1j * imag[0], -real[1] + 1j * imag[1] + (p * other.low + self.low * q))
+
+
+def _normal(high: Complex, low: Complex) -> Pair:
+    total = high + low
+    return Pair(total, low - (total - high))
+
+
+def _product(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return products and their rounding errors."""
+    p = a * b
+    big, large = a * 134217729.0, b * 134217729.0
+    a_high, b_high = big - (big - a), large - (large - b)
+    a_low, b_low = a - a_high, b - b_high
+    return p, ((a_high * b_high - p) + a_high * b_low + a_low * b_high) + a_low * b_low
+
+
+def _equations(problem: Problem, dyads: Any, turns: Any, sign: float, wrap: Any) -> Any:
+    """Return the equations at poses, and those at points times 1 + t.
+
+    `wrap` makes the numbers of arrays; with `sign` 1, and absolute values as numbers, the result is the size of all terms.
+    """
+    poses = len(problem.turns)
+    x, xb, u, ub = (wrap(*(part[:, :, k, None] for part in dyads)) for k in range(4))
+    d, e = (wrap(each[:poses]) for each in (problem.d, problem.e))
+    p, q = d + wrap(problem.turns) * x, e + wrap(np.conj(problem.turns)) * xb
+    at_poses = p * (ub + q) + u * q
+    d, e = (wrap(each[poses:]) for each in (problem.d, problem.e))
+    t, one, minus = wrap(*(part[:, None, poses:] for part in turns)), wrap(np.array(1.0 + 0j)), wrap(np.array(sign + 0j))
+    p, more = d + t * x, one + t
+    return at_poses, p * ub * more + (u + p) * (e * more + t * xb * minus)
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Refined solutions; radii of proven existence (inf: none) and of uniqueness, relative to `sizes`; whether they are real."""
+
+    roots: Roots
+    existence: Array
+    uniqueness: Array
+    real: NDArray[np.bool_]
+
+    @property
+    def proven(self) -> NDArray[np.bool_]:
+        """Which solutions are proven."""
+        return np.isfinite(self.existence)
+
+
+def sizes(dyads: Complex) -> Array:
+    """Return the sizes of the coordinates that radii refer to."""
+    return np.maximum(np.abs(dyads), LEAST)
+
+
+def certificate(problem: Problem, roots: Roots) -> Certificate:
+    """Return the solutions refined, and what is proven about each of them, for the data as they are."""
+    poses, count = len(problem.turns), len(roots)
+    number = 8 + len(problem.d) - poses
+    z, low_z = roots.dyads, np.zeros_like(roots.dyads)
+    t, low_t = roots.turns, np.zeros_like(roots.turns)
+
+    def flat(of_poses: Any, of_points: Any) -> Any:
+        return np.concatenate([of_poses.reshape(count, -1), of_points.reshape(count, -1)], axis=1)
+
+    jacobian = np.zeros((count, 2, len(problem.d), number), complex)
+    with np.errstate(all="ignore"):
+        value, slope, by_turn, _ = slopes(z, t, problem.d, problem.e)
+        scale = np.concatenate([np.ones((count, poses)), 1.0 + t[:, poses:]], axis=1)
+        for k in range(2):
+            jacobian[:, k, :, 4 * k : 4 * k + 4] = slope[:, k] * scale[..., None]
+            for i in range(poses, len(problem.d)):
+                jacobian[:, k, i, 8 + i - poses] = value[:, k, i] + scale[:, i] * by_turn[:, k, i]
+        matrix = flat(*np.split(jacobian, [poses], axis=2)).reshape(count, number, number)
+        good = np.all(np.isfinite(matrix), axis=(1, 2))
+        inverse = np.linalg.inv(np.where(good[:, None, None], matrix, np.eye(number)))
+        for last in (False, False, False, True):
+            pairs = _equations(problem, (z, low_z), (t, low_t), -1.0, Pair)
+            residual = flat(*(pair.high + 0.0 * pair.low for pair in pairs))
+            if not last:
+                step = -np.einsum("bij,bj->bi", inverse, residual)
+                z_pair = Pair(z, low_z) + Pair(step[:, :8].reshape(z.shape))
+                t_pair = Pair(t[:, poses:], low_t[:, poses:]) + Pair(step[:, 8:])
+                z, low_z = z_pair.high, z_pair.low
+                t, low_t = t.copy(), low_t.copy()
+                t[:, poses:], low_t[:, poses:] = t_pair.high, t_pair.low
+        # the Jacobian of the start stays: the refinement moved it by less than what `bend` allows for
+        moved = np.concatenate([np.abs(z - roots.dyads).reshape(count, 8), np.abs(t - roots.turns)[:, poses:]], axis=1)
+        of_dyads, of_turns = sizes(z), np.abs(t)
+        weight = np.concatenate([of_dyads.reshape(count, 8), of_turns[:, poses:]], axis=1)
+        data = Problem(np.abs(problem.d), np.abs(problem.e), np.abs(problem.turns))
+
+        def terms(factor: float) -> Any:
+            return flat(*_equations(data, (factor * of_dyads,), (factor * of_turns,), 1.0, np.abs))
+
+        size = np.abs(inverse)
+        distance = np.max(moved / weight, axis=1)
+
+        def bound(right: Any) -> Any:
+            return np.max(np.einsum("bij,bj->bi", size, right) / weight, axis=1)
+
+        off = bound(np.abs(residual) + PAIR * terms(1.01))
+        deviation = np.abs(inverse @ matrix - np.eye(number))
+        bend = bound(2.0 * terms(2.0 + 2.0 * REACH))
+        shrink = (
+            np.max(np.einsum("bij,bj->bi", deviation, weight) / weight, axis=1) + bound(DOUBLE * terms(2.02)) + distance * bend
+        )
+        existence = 2.0 * off
+        proven = good & (distance < REACH) & (existence < REACH) & (shrink + bend * existence < HALF)
+        uniqueness = np.minimum(REACH, (HALF - shrink) / bend)
+        proven &= existence < 0.01 * uniqueness
+        twin_z, twin_t = np.conj(z[..., [1, 0, 3, 2]]), np.conj(-t / (1.0 + t))[:, poses:]
+        apart = np.maximum(
+            np.max(np.abs(twin_z - z) / of_dyads, axis=(1, 2)),
+            np.max(np.abs(twin_t - t[:, poses:]) / of_turns[:, poses:], axis=1),
+        )
+    real = proven & (apart + 4.0 * existence + DOUBLE < 0.5 * uniqueness)
+    return Certificate(Roots(z, t), np.where(proven, existence, np.inf), np.where(proven, uniqueness, 0.0), real)

@@ -1,0 +1,173 @@
+"""All four-bars through given poses and points of a coupler: parameter homotopy from a generic problem of the same kind.
+
+M poses and N further points with 2 (M - 1) + N = 8 leave a four-bar no freedom. Let x be a joint of the coupler, u the vector of
+its link from the pivot, d a displacement with the rotation 1 + t, and (xb, ub, e, s) their conjugates, s = -t / (1 + t), which in
+isotropic coordinates are independent numbers. The joint moves by p = d + t x, and the length of the link stays if
+
+    (u + p) (ub + q) - u ub = p ub + u q + p q = 0,     q = e + s xb,
+
+for both dyads. The rotation is known at a pose and unknown at a point. The number of complex solutions is the same for almost all
+data, so the solutions of one generic problem are carried to those of any other one, along paths that do not meet. With t and u,
+instead of the rotation and the pivot, no digits are lost where joints are far away and rotations small.
+
+References
+----------
+C. W. Wampler, A. P. Morgan, A. J. Sommese, J. Mech. Design 114 (1992) 153-159 (nine points: 1442 triples of cognates).
+A. J. Sommese, C. W. Wampler, The Numerical Solution of Systems of Polynomials (2005), chapters 7 (parameter homotopy), 9.
+T. Duff et al., IMA J. Numer. Anal. 39 (2019) 1421-1446 (monodromy).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Complex = NDArray[np.complex128]
+
+TOLERANCE = 1e-3  # correction of a predicted point that the step size aims at, relative to the coordinates
+CONVERGED = 1e-8  # last correction of a point on a path: rounding is as large near infinity
+CORRECTIONS = 3  # Newton steps at most
+LEAST = 1e-2  # size that a smaller coordinate counts as when roots are compared; the displacements are of size 1
+MANY = 400  # paths from which on compilation, which takes some seconds once, is worth it
+SHORTEST, MOST = 1e-9, 2000  # step, and number of steps, at which a path is given up
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Displacements from the first pose and their conjugates (K,), and rotations less one (M - 1,) at the poses, the first ones.
+
+    For real data `e` is the conjugate of `d`, and 1 + `turns` is of modulus 1; a generic problem is not real.
+    """
+
+    d: Complex
+    e: Complex
+    turns: Complex
+
+    @property
+    def kind(self) -> tuple[int, int]:
+        """Numbers of poses, with the first one, and of points."""
+        return len(self.turns) + 1, len(self.d) - len(self.turns)
+
+
+@dataclass(frozen=True)
+class Roots:
+    """Solutions: joint and link (B, 2, 4) of both dyads as (x, xb, u, ub), and rotations less one (B, K) at all displacements."""
+
+    dyads: Complex
+    turns: Complex
+
+    def __len__(self) -> int:
+        return len(self.dyads)
+
+    def __getitem__(self, index: Any) -> "Roots":
+        return Roots(self.dyads[index], self.turns[index])
+
+
+Steps = Callable[..., tuple[Complex, Complex]]
+
+
+def slopes(dyads: Complex, turns: Complex, d: Complex, e: Complex) -> tuple[Complex, Complex, Complex, Complex]:
+    """Return the equations (B, 2, K), and their derivatives by dyads (B, 2, K, 4), rotations, and displacements (2, B, 2, K)."""
+    x, xb, u, ub = np.moveaxis(dyads, 2, 0)[..., None]
+    t, d, e = turns[:, None], d[..., None, :], e[..., None, :]
+    inverse = 1.0 / (1.0 + t)
+    s = -t * inverse
+    p, q = d + t * x, e + s * xb
+    by_d, by_e = ub + q, u + p
+    slope = np.stack([t * by_d, s * by_e, q, p], axis=-1)
+    return p * by_d + u * q, slope, x * by_d - inverse * inverse * xb * by_e, np.stack([by_d, by_e])
+
+
+def steps(
+    dyads: Complex, turns: Complex, d: Complex, e: Complex, poses: int, rates: tuple[Complex, Complex, Complex] | None = None
+) -> tuple[Complex, Complex]:
+    """Return Newton steps of dyads and rotations at displacements (B, K), or tangents for rates of the data (K,).
+
+    The rotation at a point is eliminated from the rows of both dyads, so a step solves eight linear equations.
+    """
+    value, slope, by_turn, (by_d, by_e) = slopes(dyads, turns, d, e)
+    if rates is not None:
+        value = by_d * rates[0] + by_e * rates[1] + by_turn * rates[2]
+    count = len(dyads)
+    matrix, right = np.zeros((count, 8, 2, 4), complex), np.empty((count, 8), complex)
+    for k in range(2):
+        rows = slice(k * poses, (k + 1) * poses)
+        matrix[:, rows, k], right[:, rows] = slope[:, k, :poses], -value[:, k, :poses]
+    weight = by_turn[:, :, poses:]
+    weight = weight / np.maximum(np.sqrt(np.sum(np.abs(weight) ** 2, axis=1, keepdims=True)), 1e-300)
+    matrix[:, 2 * poses :, 0] = weight[:, 1, :, None] * slope[:, 0, poses:]
+    matrix[:, 2 * poses :, 1] = -weight[:, 0, :, None] * slope[:, 1, poses:]
+    right[:, 2 * poses :] = weight[:, 0] * value[:, 1, poses:] - weight[:, 1] * value[:, 0, poses:]
+    change = np.asarray(np.linalg.solve(matrix.reshape(count, 8, 8), right[..., None]).reshape(count, 2, 4), complex)
+    turned = np.zeros_like(turns)
+    rest = value + np.einsum("bkij,bkj->bki", slope, change)
+    size = np.sum(np.abs(by_turn) ** 2, axis=1)
+    turned[:, poses:] = -(np.sum(np.conj(by_turn) * rest, axis=1) / np.maximum(size, 1e-300))[:, poses:]
+    if rates is not None:
+        turned[:, :poses] = rates[2][:poses]
+    return change, turned
+
+
+def track(roots: Roots, start: Problem, end: Problem) -> tuple[Roots, NDArray[np.bool_]]:
+    """Return the solutions at the end of the paths from those of another problem, and which paths came to their ends.
+
+    A step of the classical Runge-Kutta method is corrected by Newton's method; all paths take their steps at the same time.
+    """
+    poses, advance = len(start.turns), solver(len(roots))
+    rates = end.d - start.d, end.e - start.e, np.zeros(len(start.d), complex)
+    rates[2][:poses] = end.turns - start.turns
+    dyads, turns = roots.dyads.copy(), roots.turns.copy()
+    at, step, count = np.zeros(len(roots)), np.full(len(roots), 0.02), np.zeros(len(roots), int)
+    open_paths = np.arange(len(roots))
+
+    def data(s: NDArray[np.float64]) -> tuple[Complex, Complex]:
+        return start.d + s[:, None] * rates[0], start.e + s[:, None] * rates[1]
+
+    while len(open_paths):
+        z, t, s = dyads[open_paths], turns[open_paths], at[open_paths]
+        h = np.minimum(step[open_paths], 1.0 - s)
+        total_z, total_t, slope_z, slope_t = np.zeros_like(z), np.zeros_like(t), np.zeros_like(z), np.zeros_like(t)
+        for share, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
+            far = share * h
+            slope_z, slope_t = advance(z + far[:, None, None] * slope_z, t + far[:, None] * slope_t, *data(s + far), poses, rates)
+            total_z += weight * slope_z
+            total_t += weight * slope_t
+        z = z + (h / 6.0)[:, None, None] * total_z
+        t = t + (h / 6.0)[:, None] * total_t
+        t[:, :poses] = start.turns + (s + h)[:, None] * rates[2][:poses]
+        first = last = np.full(len(z), np.inf)
+        for k in range(CORRECTIONS):
+            left = np.flatnonzero((last > CONVERGED) & ((k == 0) | (last < 0.1)))
+            if not len(left):
+                break
+            by_z, by_t = advance(z[left], t[left], *data((s + h)[left]), poses)
+            z[left] += by_z
+            t[left] += by_t
+            last = last.copy()
+            last[left] = np.maximum(
+                np.max(np.abs(by_z) / (1.0 + np.abs(z[left])), axis=(1, 2)),
+                np.max(np.abs(by_t) / np.abs(t[left]), axis=1),
+            )
+            first = last if k == 0 else first
+        good = last < CONVERGED  # false for a number that is none
+        taken = open_paths[good]
+        dyads[taken], turns[taken], at[taken] = z[good], t[good], (s + h)[good]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = np.clip((TOLERANCE / first) ** 0.2, 0.3, 2.5)
+        step[open_paths] = np.where(good, np.where(np.isfinite(scale), scale, 0.3), 0.4) * h
+        count[open_paths] += 1
+        open_paths = open_paths[(at[open_paths] < 1.0) & (step[open_paths] > SHORTEST) & (count[open_paths] < MOST)]
+    return Roots(dyads, turns), at >= 1.0
+
+
+def solver(count: int) -> Steps:
+    """Return `steps` for a number of paths, compiled if numba is installed and they are worth it."""
+    if count < MANY:
+        return steps
+    try:
+        from optlink.synthesis import compiled_steps
+    except ImportError:
+        return steps
+    return compiled_steps.steps

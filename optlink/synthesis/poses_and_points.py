@@ -1,0 +1,88 @@
+"""All four-bars through poses and points that leave them no freedom, each one certified before it is counted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from optlink.linkage.vector2d import Array
+from optlink.synthesis.certificate import certificate
+from optlink.synthesis.homotopy import Complex, Problem, Roots, track
+from optlink.synthesis.start_problems import COUNTS, cognates, distinct, stored
+
+ROUTES = 4  # sets of paths, from different generic problems, that are followed until no four-bar is missing
+
+
+@dataclass(frozen=True)
+class AllFourBars:
+    """The certified four-bars of a problem: those with exchanged dyads, and for nine points the three cognates, count as one.
+
+    `expected`: their number for generic data, complex ones included; `found`: the certified and different ones; `real`: the real
+    ones among them, with both joints and pivots (B, 2) [m] as they lie at the first pose, and the rotations (B, K + 1) of the
+    coupler [rad] at the poses and points; for nine points the three cognates follow each other. `size`: that of the data [m].
+    """
+
+    kind: tuple[int, int]
+    expected: int
+    found: int
+    joints: Complex
+    pivots: Complex
+    angles: Array
+    size: float
+
+    @property
+    def real(self) -> int:
+        """Number of real ones; for nine points, of triples of cognates."""
+        return len(self.joints) // (3 if self.kind[0] == 1 else 1)
+
+    @property
+    def missing(self) -> int:
+        """Number of four-bars without a certificate, to the number for generic data: lost paths, or special data."""
+        return self.expected - self.found
+
+
+def four_bars(places: Sequence[complex] | Complex, angles: Sequence[float] | Array = (0.0,), seed: int = 0) -> AllFourBars:
+    """Return all four-bars through points x + iy [m] of the coupler, whose angles [rad] are given at the first ones.
+
+    Their numbers: four poses and two points, three and four, two and six, or nine points.
+    """
+    z, angle = np.asarray(places, dtype=complex), np.asarray(angles, dtype=float)
+    size = float(np.sqrt(np.mean(np.abs(z[1:] - z[0]) ** 2)))
+    d = (z[1:] - z[0]) / size
+    problem = Problem(d, np.conj(d), _less_one(angle[1:] - angle[0]))
+    expected, rng = COUNTS[problem.kind], np.random.default_rng([*problem.kind, seed])
+    found: Roots | None = None
+    radii, real = np.zeros(0), np.zeros(0, bool)
+    for _ in range(ROUTES):
+        start, roots = route(problem.kind, rng)
+        ends, arrived = track(roots, start, problem)
+        proof = certificate(problem, certificate(problem, ends[arrived]).roots)  # with the Jacobian of refined ones
+        new = proof.roots[proof.proven]
+        radii = np.concatenate([radii, 0.5 * proof.uniqueness[proof.proven]])
+        real = np.concatenate([real, proof.real[proof.proven]])
+        both = new if found is None else Roots(np.concatenate([found.dyads, new.dyads]), np.concatenate([found.turns, new.turns]))
+        kept = distinct(both, problem, radii)
+        found, radii, real = both[kept], radii[kept], real[kept]
+        if len(found) >= expected:
+            break
+    assert found is not None
+    shown = found[real]
+    if problem.kind[0] == 1 and len(shown):
+        three = cognates(shown, problem)
+        order = np.arange(len(three)).reshape(3, -1).T.ravel()
+        shown = three[order]
+    turned = np.unwrap(np.concatenate([np.zeros((len(shown), 1)), np.angle(1.0 + shown.turns)], axis=1), axis=1)
+    joints, links = np.moveaxis(size * shown.dyads[..., [0, 2]], 2, 0)
+    return AllFourBars(problem.kind, expected, len(found), z[0] + joints, z[0] + joints - links, angle[0] + turned, size)
+
+
+def _less_one(turn: Array) -> Complex:
+    """Return rotations by angles, less one."""
+    return np.asarray(2j * np.sin(0.5 * turn) * np.exp(0.5j * turn))
+
+
+def route(kind: tuple[int, int], rng: np.random.Generator) -> tuple[Problem, Roots]:
+    """Return a generic problem with its four-bars: the stored one with displacements and conjugates times random numbers."""
+    problem, roots = stored(*kind)
+    one, other = np.exp(rng.normal(0.0, 0.3, 2) + 1j * rng.uniform(0.0, 2.0 * np.pi, 2))
+    return Problem(one * problem.d, other * problem.e, problem.turns), Roots(roots.dyads * [one, other, one, other], roots.turns)

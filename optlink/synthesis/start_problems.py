@@ -1,0 +1,156 @@
+"""Generic problems of poses and points with all their four-bars, from which `homotopy` starts: stored data, and how to make them.
+
+`python -m optlink.synthesis.start_problems` makes the file again, in some minutes: the displacements return on random loops in
+the complex plane to where they began, and the four-bars that move along exchange their places, until all have been met.
+"""
+
+import itertools
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.vector2d import Array
+from optlink.synthesis.homotopy import LEAST, Complex, Problem, Roots, steps, track
+
+FILE = Path(__file__).with_suffix(".npz")
+
+COUNTS = {(4, 2): 30, (3, 4): 201, (2, 6): 1112, (1, 8): 1442}
+"""Four-bars of poses (with the first one) and further points; exchanged dyads, and cognates of nine points, count once."""
+
+SAME = 1e-6  # relative difference of keys of orbits that may be one
+LOOPS = 60  # at most
+_PLACE = 0.3137 + 0.7721j  # any point that is a symmetric function's argument
+
+
+def cognates(roots: Roots, problem: Problem) -> Roots:
+    """Return four-bars and their two cognates of each (3 B), which trace the same curve (Roberts)."""
+    found = [roots]
+    for dyads in (roots.dyads, roots.dyads[:, ::-1]):
+        (x, u), (y, v) = np.moveaxis(dyads.reshape(-1, 2, 2, 2), (1, 2), (0, 1))  # (B, 2): numbers and their conjugates
+        crossed = np.stack([-y * u, -x * v], axis=1) / (y - x)[:, None]
+        images = np.stack([np.stack([-u, -x], axis=1), crossed], axis=1).reshape(-1, 2, 4)
+        found.append(Roots(images, (problem.d + roots.turns * x[:, :1]) / u[:, :1]))
+    return Roots(np.concatenate([each.dyads for each in found]), np.concatenate([each.turns for each in found]))
+
+
+def orbits(roots: Roots, problem: Problem) -> Complex:
+    """Return the dyads (B, 2 or 6, 2, 4) of the four-bars that count as one with each: exchanged ones, and cognates of points."""
+    count = len(roots)
+    alike = cognates(roots, problem) if problem.kind[0] == 1 else roots
+    images = np.moveaxis(alike.dyads.reshape(-1, count, 2, 4), 0, 1)
+    return np.concatenate([images, images[:, :, ::-1]], axis=1)
+
+
+def distinct(roots: Roots, problem: Problem, radii: Array | float = 1e-5) -> list[int]:
+    """Return the indices of the first four-bar of each orbit; those nearer than `radii`, relative to coordinates, are one."""
+    images = orbits(roots, problem)
+    products = np.prod(images[..., 0] - images[..., 2] - _PLACE, axis=(1, 2))  # the same for all four-bars of an orbit
+    radii = np.broadcast_to(radii, len(roots))
+    kept: list[int] = []
+    for k in range(len(roots)):
+        others = np.array(kept, dtype=int)
+        near = others[np.abs(products[others] - products[k]) <= SAME * np.abs(products[k])]
+        apart = np.abs(images[near] - roots.dyads[k]) / np.maximum(np.abs(roots.dyads[k]), LEAST)
+        if not np.any(np.max(apart, axis=(2, 3)) <= radii[k]):
+            kept.append(k)
+    return kept
+
+
+# --- stored problems ---------------------------------------------------------------------------------------------------------
+
+
+def packed(dyads: Complex) -> NDArray[np.uint8]:
+    """Return dyads with a precision of 1.5e-5: the three upper bytes of each number."""
+    return dyads.view(float).astype(">f4").view(np.uint8).reshape(*dyads.shape, 2, 4)[..., :3]
+
+
+def unpacked(data: NDArray[np.uint8]) -> Complex:
+    """Return the dyads of packed ones."""
+    full = np.concatenate([data, np.full((*data.shape[:-1], 1), 128, np.uint8)], axis=-1)
+    numbers: Complex = full.view(">f4")[..., 0].astype(float).view(complex)[..., 0]
+    return numbers
+
+
+@cache
+def stored(poses: int, points: int) -> tuple[Problem, Roots]:
+    """Return a generic problem of a kind with one four-bar of each orbit."""
+    name = f"{poses}+{points}"
+    with np.load(FILE) as file:
+        d, e, turns = np.split(file[name], [poses - 1 + points, 2 * (poses - 1 + points)])
+        dyads = unpacked(file[f"{name} dyads"])
+    problem = Problem(d, e, turns)
+    return problem, refined(problem, dyads)
+
+
+def refined(problem: Problem, dyads: Complex) -> Roots:
+    """Return four-bars at their end of Newton steps, with the rotations that their dyads have in common."""
+    poses = len(problem.turns)
+    x, xb, u, ub = np.moveaxis(dyads, 2, 0)[..., None]
+    d, e = problem.d, problem.e
+    square, rest = x * (ub + e - xb), d * ub + (u + d) * e  # of the equation times 1 + t
+    linear = x * (ub + e) + d * ub + (u + d) * (e - xb)
+    top = square[:, 0] * rest[:, 1] - square[:, 1] * rest[:, 0]
+    turns = top / (square[:, 1] * linear[:, 0] - square[:, 0] * linear[:, 1])
+    turns[:, :poses] = problem.turns
+    for _ in range(6):
+        by_dyads, by_turns = steps(dyads, turns, d, e, poses)
+        dyads, turns = dyads + by_dyads, turns + by_turns
+    return Roots(dyads, turns)
+
+
+# --- monodromy ---------------------------------------------------------------------------------------------------------------
+
+
+def monodromy(poses: int, points: int, seed: int = 0) -> tuple[Problem, Roots]:
+    """Return a generic problem with all its four-bars, one of each orbit, from one four-bar with the displacements it allows."""
+    rng, number = np.random.default_rng([poses, points, seed]), poses - 1 + points
+
+    def normal(*shape: int) -> Complex:
+        values: Complex = (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2.0)
+        return values
+
+    def turned(count: int) -> Complex:
+        return np.asarray(np.exp(normal(count)) - 1.0, dtype=complex)
+
+    def generic() -> Problem:
+        return Problem(normal(number), normal(number), turned(poses - 1))
+
+    dyads, turns = normal(2, 4), turned(number)
+    x, xb, u, ub = dyads.T[..., None]
+    far, away = turns * x, -turns * xb / (1.0 + turns)
+    p, q, r = u + far, ub + away, far * ub + u * away + far * away  # d e + p e + q d + r = 0
+    one, other, rest = p[0] - p[1], q[0] - q[1], r[0] - r[1]
+    half = 0.5 * (q[0] - p[0] * other / one - rest / one) * one / other
+    d = half + np.sqrt(half**2 + (r[0] - p[0] * rest / one) * one / other)
+    at = Problem(d, -(d * other + rest) / one, turns[: poses - 1])
+    base = generic()
+    found, _ = track(Roots(dyads[None], turns[None]), at, base)
+    for loop in range(LOOPS):
+        corners, moved = [base, generic(), generic(), base], found
+        for begin, end in itertools.pairwise(corners):
+            moved, arrived = track(moved, begin, end)
+            moved = moved[arrived]
+        both = Roots(np.concatenate([found.dyads, moved.dyads]), np.concatenate([found.turns, moved.turns]))
+        found = both[distinct(both, base)]
+        print(f"{poses} poses + {points} points: {len(found)} after {loop + 1} loops", file=sys.stderr)
+        if len(found) == COUNTS[poses, points]:
+            break
+    return base, found
+
+
+def main() -> None:
+    """Make the file of generic problems."""
+    data: dict[str, NDArray[Any]] = {}
+    for poses, points in COUNTS:
+        problem, roots = monodromy(poses, points)
+        data[f"{poses}+{points}"] = np.concatenate([problem.d, problem.e, problem.turns])
+        data[f"{poses}+{points} dyads"] = packed(roots.dyads)
+    np.savez_compressed(FILE, **data)  # type: ignore[arg-type]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,177 @@
+"""All four-bars through poses and points: counts, certificates, known linkages, cognates, and the compiled steps."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+from optlink.synthesis import homotopy, poses_and_points
+from optlink.synthesis.certificate import Pair, certificate
+from optlink.synthesis.homotopy import Problem, Roots, track
+from optlink.synthesis.poses_and_points import four_bars
+from optlink.synthesis.start_problems import COUNTS, cognates, distinct, packed, refined, stored, unpacked
+
+WAMPLER = [(0.25, 0.0), (0.52, 0.1), (0.8, 0.7), (1.2, 1.0), (1.4, 1.3), (1.1, 1.48), (0.7, 1.4), (0.2, 1.0), (0.02, 0.4)]
+
+
+def random_targets(kind, seed):
+    rng = np.random.default_rng([seed, *kind])
+    count = sum(kind)
+    return rng.normal(size=count) + 1j * rng.normal(size=count), rng.uniform(-np.pi, np.pi, kind[0])
+
+
+def known_targets(kind, seed):
+    """Points and the first angles of a four-bar at random crank angles, and its pivots."""
+    rng, count = np.random.default_rng([seed, *kind]), sum(kind)
+    while True:
+        a, b, x, y = rng.normal(size=4) + 1j * rng.normal(size=4)
+        phi = np.sort(rng.uniform(0.0, 2.0 * np.pi, count))
+        pin = a + (x - a) * np.exp(1j * (phi - phi[0]))
+        far, coupler, rocker = b - pin, abs(y - x), abs(y - b)
+        cosine = (abs(far) ** 2 + coupler**2 - rocker**2) / (2.0 * abs(far) * coupler)
+        if np.max(np.abs(cosine)) < 0.98:
+            side = np.sign(((y - x) * np.conj(b - x)).imag)
+            turn = far / abs(far) * np.exp(1j * side * np.arccos(cosine)) * coupler / (y - x)
+            return pin - turn * x, np.angle(turn)[: kind[0]], (a, b)
+
+
+def gap(found, pivots):
+    either = [np.max(np.abs(found.pivots - np.array(order)), axis=1) for order in (pivots, pivots[::-1])]
+    return np.min(either)
+
+
+def lengths(found, places):
+    """The largest relative change of a crank length over the points."""
+    rotation = np.exp(1j * (found.angles - found.angles[:, :1]))
+    moved = places + rotation[:, None] * (found.joints - places[0])[..., None]
+    bars = np.abs(moved - found.pivots[..., None])
+    return np.max(np.ptp(bars, axis=2) / np.max(bars, axis=2))
+
+
+@pytest.mark.parametrize("kind", [(4, 2), pytest.param((3, 4), marks=pytest.mark.slow)])
+def test_the_full_number_of_four_bars_is_certified(kind):
+    for seed in (0, 2, 3):
+        places, angles = random_targets(kind, seed)
+        found = four_bars(places, angles)
+        assert (found.found, found.missing) == (COUNTS[kind], 0)
+        assert found.real > 0
+        assert lengths(found, places) < 1e-9
+        assert np.max(np.abs(np.exp(1j * (found.angles[:, : kind[0]] - angles)) - 1.0)) < 1e-12
+        places, angles, pivots = known_targets(kind, seed)
+        assert gap(four_bars(places, angles), pivots) < 1e-7
+
+
+@pytest.mark.slow
+def test_nine_points_of_wampler_morgan_and_sommese_have_64_real_triples():
+    """The points of their problem 3, from the data of alphaCertified's example."""
+    places = np.array([complex(*point) for point in WAMPLER])
+    found = four_bars(places)
+    assert (found.found, found.real) == (1442, 64)
+    assert found.joints.shape == (192, 2)
+    assert lengths(found, places) < 1e-9
+
+
+def test_stored_problems_have_as_many_different_four_bars():
+    for kind, count in COUNTS.items():
+        problem, roots = stored(*kind)
+        assert problem.kind == kind
+        assert len(distinct(roots, problem)) == count
+
+
+def test_packed_numbers_keep_their_value_to_the_stored_digits():
+    values = np.random.default_rng(0).normal(size=(5, 2, 4, 2)).view(complex)[..., 0]
+    assert np.max(np.abs(unpacked(packed(values)) / values - 1.0)) < 3e-5
+    assert packed(values).nbytes == 5 * 8 * 6
+
+
+def test_cognates_solve_the_same_problem_and_count_once():
+    problem, roots = stored(1, 8)
+    some = roots[:4]
+    three = cognates(some, problem)
+    by_dyads, by_turns = homotopy.steps(three.dyads, three.turns, problem.d, problem.e, 0)
+    assert max(np.max(np.abs(by_dyads)), np.max(np.abs(by_turns))) < 1e-8
+    swapped = Roots(three.dyads[:, ::-1], three.turns)
+    both = Roots(np.concatenate([three.dyads, swapped.dyads]), np.concatenate([three.turns, swapped.turns]))
+    assert distinct(both, problem) == [0, 1, 2, 3]
+
+
+def test_pairs_have_twice_the_digits_of_floats():
+    from fractions import Fraction
+
+    rng = np.random.default_rng(1)
+    parts = rng.normal(size=(2, 2, 9, 2)).view(complex)[..., 0] * np.array([1.0, 1e-17])[:, None]
+
+    def exact(pair):
+        numbers = [
+            (Fraction(float(h)) + Fraction(float(low)))
+            for h, low in zip(np.array(pair.high).view(float), np.array(pair.low).view(float), strict=True)
+        ]
+        return numbers[::2], numbers[1::2]
+
+    one, other = (Pair(*each) for each in parts)
+    (a, b), (c, d), (p, q), (s, t) = map(exact, (one, other, one * other, one + other))
+    for k in range(9):
+        assert abs(p[k] - (a[k] * c[k] - b[k] * d[k])) < 2.0**-98
+        assert abs(q[k] - (a[k] * d[k] + b[k] * c[k])) < 2.0**-98
+        assert max(abs(s[k] - a[k] - c[k]), abs(t[k] - b[k] - d[k])) < 2.0**-100
+
+
+def proofs(shift):
+    places, angles = random_targets((4, 2), 0)
+    d = places[1:] - places[0]
+    problem = Problem(d, np.conj(d), np.exp(1j * (angles[1:] - angles[0])) - 1.0)
+    start, roots = stored(4, 2)
+    ends, arrived = track(roots, start, problem)
+    assert np.all(arrived)
+    return certificate(problem, Roots(ends.dyads * (1.0 + shift), ends.turns))
+
+
+def test_a_certificate_refines_and_refuses():
+    proof = proofs(0.0)
+    assert np.all(proof.proven)
+    assert np.max(proof.existence) < 1e-20
+    near = proofs(1e-9)
+    assert np.all(near.proven)
+    assert np.max(np.abs(near.roots.dyads - proof.roots.dyads)) < 1e-12
+    assert not np.all(proofs(1e-1).proven)
+    assert np.array_equal(proof.real, near.real)
+    assert 0 < proof.real.sum() < 30
+
+
+def test_a_double_root_has_no_certificate():
+    """Near a dead centre of the problem two four-bars join; at it none is proven to be there."""
+    dyads = np.zeros((1, 2, 4), complex)
+    dyads[:, :] = [1.0 + 1j, 1.0 - 1j, 2.0, 2.0]  # equal dyads are not isolated
+    problem = Problem(*[np.zeros(8, complex) + [0.1 * k for k in range(1, 9)]] * 2, np.zeros(0, complex))
+    assert not np.any(certificate(problem, Roots(dyads, np.exp(1j * np.linspace(0.1, 0.8, 8))[None] - 1.0)).proven)
+
+
+def test_missing_four_bars_are_told(monkeypatch):
+    monkeypatch.setattr(poses_and_points, "ROUTES", 1)
+    whole = stored(4, 2)
+    monkeypatch.setattr(poses_and_points, "stored", lambda *_: (whole[0], whole[1][:28]))
+    assert four_bars(*random_targets((4, 2), 0)).missing == 2
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="needs numba")
+def test_compiled_steps_are_the_same():
+    from optlink.synthesis import compiled_steps
+
+    rng = np.random.default_rng(0)
+    for poses, count in ((3, 5), (0, 8)):
+        z, t, d, e = (
+            rng.normal(size=(*shape, 2)).view(complex)[..., 0] for shape in ((9, 2, 4), (9, count), (9, count), (9, count))
+        )
+        rates = d[0], e[0], np.concatenate([t[0, :poses], np.zeros(count - poses)])
+        for each in (None, rates):
+            for one, other in zip(
+                homotopy.steps(z, t, d, e, poses, each), compiled_steps.steps(z, t, d, e, poses, each), strict=True
+            ):
+                assert np.max(np.abs(one - other)) < 1e-11 * np.max(np.abs(one))
+
+
+def test_refinement_ends_at_the_stored_four_bars():
+    problem, roots = stored(4, 2)
+    again = refined(problem, roots.dyads * (1.0 + 1e-5))
+    assert np.max(np.abs(again.dyads - roots.dyads)) < 1e-10
