@@ -21,7 +21,7 @@ from optlink.errors import InputError
 from optlink.presentation.export.export import FORMATS, Options, export
 from optlink.presentation.export.printing import KERNELS
 from optlink.presentation.parts import solids
-from optlink.presentation.parts.layers import Stack, stacked
+from optlink.presentation.parts.layers import stacked
 from optlink.presentation.parts.layout import engraved, laid_out
 from optlink.presentation.parts.model import part_set
 from optlink.presentation.parts.solids import Solid, plate
@@ -33,8 +33,6 @@ from tests.tiers import mostly_slow
 SVG = "{http://www.w3.org/2000/svg}"
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 REFUSED = {"path-scott-russell": "overlap", "scotch-yoke": "overlap"}
-STACKED = ("crank-rocker", "shaper", "slider-crank", "watt-i", "toggle-press", "slotted-quick-return", "two-wipers", "six-bar")
-UNSTACKED = ("function-sin", "whitworth")
 SHIPPED = [name for name in sorted(optlink.shipped()) if name not in REFUSED]
 
 
@@ -365,72 +363,6 @@ def test_the_section_changes_no_result():
 
 
 # --- layers ----------------------------------------------------------------------------------------------------------------
-
-
-def overlap(first: np.ndarray, second: np.ndarray) -> bool:
-    """Whether two polygons share a point, by matplotlib."""
-    one, other = Polygon(first), Polygon(second)
-    return one.intersects_path(other) or one.contains_point(second[0]) or other.contains_point(first[0])
-
-
-def disc(radius: float) -> np.ndarray:
-    turns = np.linspace(0.0, 2.0 * math.pi, 49)
-    return radius * np.column_stack([np.cos(turns), np.sin(turns)])
-
-
-def collisions(stack, layers: dict[str, int], every: int = 24) -> set[tuple[str, str]]:
-    """Pairs of parts, pins and heads that overlap in a layer at some crank angle, polygon by polygon."""
-    parts, motion = stack.parts, stack.parts.motion
-    shapes: dict[tuple[str, int], tuple[str, np.ndarray]] = {}
-    for name, part in parts.parts.items():
-        shapes[name, layers[name]] = name, solids.polygon(part.outline)[::6]
-    members = {pin.name: pin.parts for pin in parts.pins}
-    for pin in parts.pins:
-        levels = [layers[name] for name in pin.parts]
-        for layer in range(min(levels) - 1, max(levels) + 2):
-            inside = min(levels) <= layer <= max(levels)
-            if inside or pin.height:
-                shapes[f"pin {pin.name}", layer] = pin.on, pin.at + disc(0.5 * (pin.diameter if inside else pin.head))
-    found = set()
-    for k in range(0, len(motion.crank_angle), every):
-        moved = {key: placed_at(motion, body, shape, k) for key, (body, shape) in shapes.items()}
-        for (one, layer), (other, level) in itertools.combinations(moved, 2):
-            joined = one in members.get(other.removeprefix("pin "), ()) or one == other
-            if layer == level and not joined and overlap(moved[one, layer], moved[other, level]):
-                found.add((one, other))
-    return found
-
-
-def placed_at(motion, body: str, shape: np.ndarray, k: int) -> np.ndarray:
-    if body == "frame":
-        return shape
-    turned = np.exp(1j * float(np.broadcast_to(np.asarray(motion.body_angle(body).value), len(motion.crank_angle))[k]))
-    moved = turned * (shape @ [1.0, 1j])
-    return 1e3 * motion.position(motion.mechanism.origin(body))[k] + np.column_stack([moved.real, moved.imag])
-
-
-@pytest.mark.parametrize("name", mostly_slow(STACKED, "crank-rocker", "slotted-quick-return"))
-def test_nothing_collides_in_the_layers(name):
-    stack = stacked(part_set(of(name).cycle))
-    assert stack.layers["frame"] == 0
-    assert min(layer for body, layer in stack.layers.items() if body != "frame") > 0
-    assert collisions(stack, dict(stack.layers)) == set()
-
-
-def test_a_link_in_the_layer_of_another_collides():
-    """The oracle of these tests sees the defect, and so does the search."""
-    stack = stacked(part_set(of("crank-rocker").cycle))
-    flat = {**stack.layers, "coupler": stack.layers["crank"]}
-    assert ("crank", "coupler") in collisions(stack, flat)
-    assert any({one.one, one.other} == {"crank", "coupler"} for one in Stack(stack.parts).collisions(flat))
-
-
-@pytest.mark.parametrize("name", UNSTACKED)
-def test_without_layers_a_collision_is_named(name):
-    """Two full turns about one plate: every order of the links collides, polygon by polygon too."""
-    parts = part_set(of(name).cycle)
-    with pytest.raises(InputError, match=r"cannot be stacked: .* collide at a crank angle of [\d.]+ deg"):
-        stacked(parts)
 
 
 def test_an_assembly_lies_in_its_layers(tmp_path):

@@ -1,8 +1,8 @@
 """Layers: parts at heights at which neither they nor pins and heads collide over the motion.
 
 The frame plate lies in layer 0, all links above it. A pin passes through all layers from the lowest of its parts to the highest,
-and its heads lie in the layers below and above these. The search takes the links in turn, each in the lowest layer without a
-collision, and goes back where there is none; the number of layers grows until all find a place.
+and its heads lie in the layers below and above these and in the gaps before them. The search takes the links in turn, each in
+the lowest layer without a collision, and goes back where there is none; the number of layers grows until all find a place.
 """
 
 import itertools
@@ -15,7 +15,7 @@ import numpy as np
 
 from optlink.errors import InputError
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.parts.model import FlatPart, PartSet, Pin, distance, placed
 from optlink.presentation.shapes import hull, in_line
 
@@ -69,7 +69,7 @@ class Stack:
         tries = (self._placed({FRAME: 0}, count + 1, allowed) for allowed in itertools.count(1))
         worst = min(self.collisions(next(filter(None, tries))), key=lambda one: one.overlap)
         message = f"the links cannot be stacked: {worst.one} and {worst.other} collide at a crank angle of"
-        raise InputError(f"{message} {math.degrees(worst.at):.4g} deg", REMEDY, self.parts.file)
+        raise InputError(f"{message} {math.degrees(math.fmod(worst.at, TURN)):.4g} deg", REMEDY, self.parts.file)
 
     def _placed(self, layers: Mapping[str, int], top: int, allowed: int) -> dict[str, int] | None:
         """Return the layers of all links, of which some have theirs, with so many collisions at most; None if there are none."""
@@ -94,28 +94,31 @@ class Stack:
         for pin in whole:
             for name in layers:
                 if name not in pin.parts and (not new or new == name or new in pin.parts):
-                    radius = self._radius(pin, layers, layers[name])
+                    radius = self._radius(pin, layers, 2 * layers[name])
                     if radius:
                         yield from self._colliding(pin.name, name, radius + 0.5 * self.parts.parts[name].width)
         for pin, other_pin in itertools.combinations(whole, 2):
-            if not new or new in pin.parts or new in other_pin.parts:
-                for layer in range(-1, max(layers.values()) + 2):
-                    both = self._radius(pin, layers, layer), self._radius(other_pin, layers, layer)
-                    if all(both):
-                        yield from self._colliding(pin.name, other_pin.name, sum(both))
+            near = self._gap(pin.name, other_pin.name).least < 0.5 * (pin.head + other_pin.head) + self.slack
+            if near and (not new or new in pin.parts or new in other_pin.parts):
+                levels = range(-3, 2 * max(layers.values()) + 4)
+                both = [[self._radius(one, layers, level) for one in (pin, other_pin)] for level in levels]
+                yield from self._colliding(pin.name, other_pin.name, max(sum(radii) if all(radii) else 0.0 for radii in both))
 
-    @staticmethod
-    def _radius(pin: Pin, layers: Mapping[str, int], layer: int) -> float:
-        """Return the radius that a pin occupies in a layer [mm]; zero where it is not."""
-        levels = [layers[name] for name in pin.parts]
+    def _radius(self, pin: Pin, layers: Mapping[str, int], level: int) -> float:
+        """Return the radius that a pin occupies at a level [mm]; zero where it is not.
+
+        Even levels are layers, odd ones the gaps above them. A head fills a gap and a layer, a high one the next gap too.
+        """
+        levels = [2 * layers[name] for name in pin.parts]
         low, high = min(levels), max(levels)
-        if low <= layer <= high:
+        if low <= level <= high:
             return 0.5 * pin.diameter
-        return 0.5 * pin.head if pin.height and low - 1 <= layer <= high + 1 else 0.0
+        reach = 3 if pin.height > self.parts.pitch else 2
+        return 0.5 * pin.head if pin.height and low - reach <= level <= high + reach else 0.0
 
     def _colliding(self, one: str, other: str, needed: float) -> Iterator[Collision]:
         gap = self._gap(one, other)
-        if gap.least < needed + self.slack:
+        if needed and gap.least < needed + self.slack:
             yield Collision(self._called(one), self._called(other), needed + self.slack - gap.least, gap.at)
 
     def _called(self, name: str) -> str:

@@ -105,8 +105,9 @@ class PartSet:
 
     @property
     def pitch(self) -> float:
-        """Distance of two layers [mm]."""
-        return max(part.thickness for part in self.parts.values()) + self.spacer
+        """Distance of two layers [mm]: thickness and washer, or more where a head must end before the next layer but one."""
+        thickness, head = max(part.thickness for part in self.parts.values()), max((pin.height for pin in self.pins), default=0.0)
+        return max(thickness + self.spacer, 0.5 * (thickness + self.spacer + head))
 
 
 def part_set(cycle: Analysis, hole: float | None = None, width: float | None = None) -> PartSet:
