@@ -142,6 +142,8 @@ MADE = {  # problem, tolerances, objective without and with sizes of 0.1 mm, whe
         False,
     ),
     "law-six-bar": ({}, 1.5290697e-3, 1.5291848e-3, False),
+    "quick-return-press": ({}, 174.759038, 174.791126, True),
+    "toggle-press": ({}, 211.262633, 211.474657, True),
 }
 
 
