@@ -49,7 +49,10 @@ ROUND = (
     'Step of all free lengths, such as "0.1 mm", or NAME=STEP, or a stock of sizes, NAME=["50 mm", "60 mm"]; repeatable. '
     "The design has such sizes, and is validated with them. Default: [rounding] of the file; none: without rounding."
 )
-ALL = "List all exact solutions of five poses, timed points or points of a function of a four-bar, each with what excludes it."
+ALL = (
+    "List all exact solutions of five poses, timed points or points of a function of a four-bar, each with what excludes it; of four "
+    "poses the best ones."
+)
 DETAILS = "Print all checks, tables and times too; JSON and page always have them. A failed check is always printed."
 
 
