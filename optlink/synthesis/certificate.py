@@ -113,6 +113,7 @@ def certificate(problem: Problem, roots: Roots) -> Certificate:
                 jacobian[:, k, i, 8 + i - poses] = value[:, k, i] + scale[:, i] * by_turn[:, k, i]
         matrix = flat(*np.split(jacobian, [poses], axis=2)).reshape(count, number, number)
         good = np.all(np.isfinite(matrix), axis=(1, 2))
+        good &= np.linalg.det(np.where(good[:, None, None], matrix, 0.0)) != 0.0
         inverse = np.linalg.inv(np.where(good[:, None, None], matrix, np.eye(number)))
         for last in (False, False, False, True):
             pairs = _equations(problem, (z, low_z), (t, low_t), -1.0, Pair)

@@ -100,7 +100,10 @@ def steps(
     matrix[:, 2 * poses :, 0] = weight[:, 1, :, None] * slope[:, 0, poses:]
     matrix[:, 2 * poses :, 1] = -weight[:, 0, :, None] * slope[:, 1, poses:]
     right[:, 2 * poses :] = weight[:, 0] * value[:, 1, poses:] - weight[:, 1] * value[:, 0, poses:]
-    change = np.asarray(np.linalg.solve(matrix.reshape(count, 8, 8), right[..., None]).reshape(count, 2, 4), complex)
+    square = matrix.reshape(count, 8, 8)
+    regular = np.linalg.det(square) != 0.0
+    square[~regular], right[~regular] = np.eye(8), np.nan
+    change = np.asarray(np.linalg.solve(square, right[..., None]).reshape(count, 2, 4), complex)
     turned = np.zeros_like(turns)
     rest = value + np.einsum("bkij,bkj->bki", slope, change)
     size = np.sum(np.abs(by_turn) ** 2, axis=1)
@@ -125,40 +128,42 @@ def track(roots: Roots, start: Problem, end: Problem) -> tuple[Roots, NDArray[np
     def data(s: NDArray[np.float64]) -> tuple[Complex, Complex]:
         return start.d + s[:, None] * rates[0], start.e + s[:, None] * rates[1]
 
-    while len(open_paths):
-        z, t, s = dyads[open_paths], turns[open_paths], at[open_paths]
-        h = np.minimum(step[open_paths], 1.0 - s)
-        total_z, total_t, slope_z, slope_t = np.zeros_like(z), np.zeros_like(t), np.zeros_like(z), np.zeros_like(t)
-        for share, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
-            far = share * h
-            slope_z, slope_t = advance(z + far[:, None, None] * slope_z, t + far[:, None] * slope_t, *data(s + far), poses, rates)
-            total_z += weight * slope_z
-            total_t += weight * slope_t
-        z = z + (h / 6.0)[:, None, None] * total_z
-        t = t + (h / 6.0)[:, None] * total_t
-        t[:, :poses] = start.turns + (s + h)[:, None] * rates[2][:poses]
-        first = last = np.full(len(z), np.inf)
-        for k in range(CORRECTIONS):
-            left = np.flatnonzero((last > CONVERGED) & ((k == 0) | (last < 0.1)))
-            if not len(left):
-                break
-            by_z, by_t = advance(z[left], t[left], *data((s + h)[left]), poses)
-            z[left] += by_z
-            t[left] += by_t
-            last = last.copy()
-            last[left] = np.maximum(
-                np.max(np.abs(by_z) / (1.0 + np.abs(z[left])), axis=(1, 2)),
-                np.max(np.abs(by_t) / np.abs(t[left]), axis=1),
-            )
-            first = last if k == 0 else first
-        good = last < CONVERGED  # false for a number that is none
-        taken = open_paths[good]
-        dyads[taken], turns[taken], at[taken] = z[good], t[good], (s + h)[good]
-        with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):  # a path that meets a singular point has no finite steps, and is given up
+        while len(open_paths):
+            z, t, s = dyads[open_paths], turns[open_paths], at[open_paths]
+            h = np.minimum(step[open_paths], 1.0 - s)
+            total_z, total_t, slope_z, slope_t = np.zeros_like(z), np.zeros_like(t), np.zeros_like(z), np.zeros_like(t)
+            for share, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
+                far = share * h
+                slope_z, slope_t = advance(
+                    z + far[:, None, None] * slope_z, t + far[:, None] * slope_t, *data(s + far), poses, rates
+                )
+                total_z += weight * slope_z
+                total_t += weight * slope_t
+            z = z + (h / 6.0)[:, None, None] * total_z
+            t = t + (h / 6.0)[:, None] * total_t
+            t[:, :poses] = start.turns + (s + h)[:, None] * rates[2][:poses]
+            first = last = np.full(len(z), np.inf)
+            for k in range(CORRECTIONS):
+                left = np.flatnonzero((last > CONVERGED) & ((k == 0) | (last < 0.1)))
+                if not len(left):
+                    break
+                by_z, by_t = advance(z[left], t[left], *data((s + h)[left]), poses)
+                z[left] += by_z
+                t[left] += by_t
+                last = last.copy()
+                last[left] = np.maximum(
+                    np.max(np.abs(by_z) / (1.0 + np.abs(z[left])), axis=(1, 2)),
+                    np.max(np.abs(by_t) / np.abs(t[left]), axis=1),
+                )
+                first = last if k == 0 else first
+            good = last < CONVERGED  # false for a number that is none
+            taken = open_paths[good]
+            dyads[taken], turns[taken], at[taken] = z[good], t[good], (s + h)[good]
             scale = np.clip((TOLERANCE / first) ** 0.2, 0.3, 2.5)
-        step[open_paths] = np.where(good, np.where(np.isfinite(scale), scale, 0.3), 0.4) * h
-        count[open_paths] += 1
-        open_paths = open_paths[(at[open_paths] < 1.0) & (step[open_paths] > SHORTEST) & (count[open_paths] < MOST)]
+            step[open_paths] = np.where(good, np.where(np.isfinite(scale), scale, 0.3), 0.4) * h
+            count[open_paths] += 1
+            open_paths = open_paths[(at[open_paths] < 1.0) & (step[open_paths] > SHORTEST) & (count[open_paths] < MOST)]
     return Roots(dyads, turns), at >= 1.0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,6 +28,8 @@ from optlink.tasks.search import mode_of
 from optlink.validation import validate
 
 CONDITIONS = 10  # of five poses with free timing or five timed points, on as many design variables of a four-bar
+SAME_POINT = 1e-10  # distance of points that are one, relative to that of others
+REPEATED_POINT = "points {} and {} are the same: infinitely many four-bars pass through the others"
 TRIALS = ((0.3, 0.5), (1.1, -0.4))  # starts [rad], crank and output, with which a law must rise by the same
 GRASHOF, BOUNDED = "Grashof: ", " within its bounds"  # names of checks
 
@@ -168,14 +171,17 @@ class NinePoints(FiveTargets):
         """Return the numbers of triples of cognates, and the real four-bars, each driven at either link."""
         points = self.task.data.columns
         places = points[:, 0] + 1j * points[:, 1]
+        kind, counted, pairs = "nine points", "triples of cognates", list[FourBarSolution]()
+        for i, j in itertools.combinations(range(len(places)), 2):
+            if abs(places[i] - places[j]) <= SAME_POINT * np.max(np.abs(places - places[0])):
+                return ExactSolutions(kind, 0, 0, 0, 0, REPEATED_POINT.format(i + 1, j + 1), True, ()), pairs
         found = four_bars(places)
-        pairs = []
         for joints, pivots, angles in zip(found.joints, found.pivots, found.angles, strict=True):
             one, other = (link(*ends, found.size) for ends in zip(joints, pivots, strict=True))
             pairs += [FourBarSolution(*links, places, angles) for links in ((one, other), (other, one))]
         real, complex_ones = found.real, found.found - found.real
-        counts = ExactSolutions("nine points", real, real, complex_ones, 0, "", True, ())
-        return replace(counts, roots=found.expected, counted="triples of cognates"), pairs
+        counts = ExactSolutions(kind, real, real, complex_ones, 0, "", True, ())
+        return replace(counts, roots=found.expected, counted=counted), pairs
 
 
 def nine_points(task: DesignProblem) -> bool:

@@ -146,6 +146,12 @@ def test_a_double_root_has_no_certificate():
     assert not np.any(certificate(problem, Roots(dyads, np.exp(1j * np.linspace(0.1, 0.8, 8))[None] - 1.0)).proven)
 
 
+def test_singular_equations_give_no_step_and_prove_nothing():
+    dyads, turns, nothing = np.ones((2, 2, 4), complex), np.zeros((2, 5), complex), np.zeros(5, complex)
+    assert np.all(np.isnan(homotopy.steps(dyads, turns, nothing, nothing, 3)[0]))
+    assert not np.any(certificate(Problem(nothing, nothing, nothing[:3]), Roots(dyads, turns)).proven)
+
+
 def test_missing_four_bars_are_told(monkeypatch):
     monkeypatch.setattr(poses_and_points, "ROUTES", 1)
     whole = stored(4, 2)

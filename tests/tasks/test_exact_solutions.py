@@ -232,6 +232,14 @@ def test_nine_points_of_a_crank_rocker_list_it_and_tell_why_others_are_no_use():
     assert f"of 1442 triples of cognates are real (certified); {3 * found.real} four-bars" in found.sentence
 
 
+def test_a_repeated_point_is_told():
+    rows = [{"x": f"{x} mm", "y": f"{x * x} mm"} for x in (1, 2, 3, 4, 5, 6, 7, 2, 9)]
+    raw = {"title": "eight points", "mechanism": PLACED, "requirement": {"kind": "path", "points": rows}}
+    result = optlink.synthesis.exact(optlink.read(raw))
+    assert "points 2 and 8 are the same" in result.notes[0]
+    assert not result.valid
+
+
 def test_problems_of_other_kinds_are_refused():
     with pytest.raises(optlink.InputError, match="finitely many exact solutions"):
         optlink.synthesis.exact("motion-3-poses")
