@@ -7,11 +7,10 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from optlink.units import percent
-from optlink.validation.check import Check
+from optlink.validation.check import KEY, LIMIT, Check
 
 if TYPE_CHECKING:
     from optlink.problem.driving import Driving
@@ -34,6 +33,12 @@ def number(value: float, digits: int = 6) -> str:
 def precise(value: float, digits: int) -> str:
     """Format a number with all its significant digits, however small it is."""
     return number(value, digits) if value == 0.0 or abs(value) >= 1e-5 else f"{value:.{digits - 1}e}"
+
+
+def comparable(value: float, gap: float) -> str:
+    """Format a number with four significant digits, and with as many more as show its distance from a limit, up to nine."""
+    whole = math.floor(math.log10(abs(value))) if value and math.isfinite(value) else 0
+    return number(value, min(max(4, whole + 1 - math.floor(math.log10(gap)) if gap > 0.0 else 4), 9))
 
 
 def price_step(unit: str, bound: float = 0.0, share: float = 0.0) -> tuple[float, str]:
@@ -220,7 +225,6 @@ def joined(words: Sequence[str]) -> str:
 
 # Why a design is not valid, in words: what was measured, and what is required.
 
-KEY = r"(?:[\w.]+: )?"
 MEASURED = (
     (r"swing angle, (?:least|largest)", "the rocker swings {}"),
     (KEY + r"stroke of (.+)", r"the stroke of \1 is {}"),
@@ -251,10 +255,7 @@ OTHERS = (
 """Names of other checks, and how to state that they fail."""
 GENERAL = (KEY + r"(.+)", r"\1 is {}")
 TURNS = OTHERS[0][0]
-STATED = (*(name for name, _ in MEASURED if not name.startswith("(.+) ")), r"[\w.]+: .+")
-"""Names of limits that a file states, not of its bounds of dimensions or of the checks of the kinematics."""
 SIDES = {">=": "at least ", "<=": "at most ", "=": "", "": ""}
-LIMIT = re.compile(r"(>=|<=|=|)\s*([-+]?\d\S*(?: \.\.\. \S+)?)")
 
 
 def causes(checks: Sequence[Check]) -> list[str]:
@@ -267,19 +268,6 @@ def causes(checks: Sequence[Check]) -> list[str]:
     turns = [check for check in failed if re.fullmatch(TURNS, check.name)]
     valued = [check for check in failed if math.isfinite(check.value)]
     return list(dict.fromkeys(_cause(check, checks) for check in turns or valued or failed))
-
-
-def requirements(checks: Sequence[Check]) -> list[tuple[Check, str, str]]:
-    """Return the measured limits of a file with their senses and bounds; two limits with the same bound are one value."""
-    found: dict[tuple[str, str], tuple[Check, str, str]] = {}
-    for check in checks:
-        limit = LIMIT.fullmatch(check.limit)
-        named = any(re.fullmatch(name, check.name) for name in STATED) and not re.fullmatch(TURNS, check.name)
-        if limit is not None and named:
-            name = re.sub(", (?:least|largest)$", "", check.name.removeprefix(re.match(KEY, check.name)[0]))  # type: ignore[index]
-            both = (name, limit[2]) in found
-            found[name, limit[2]] = replace(check, name=name), "=" if both else limit[1], limit[2]
-    return list(found.values())
 
 
 def why_invalid(checks: Sequence[Check], otherwise: str) -> str:

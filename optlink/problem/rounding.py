@@ -61,7 +61,7 @@ class Grid:
     def off(self, value: float) -> float:
         """Return how far a value is from the grid, as a share of its width there; zero on the grid but for rounding."""
         gap = abs(self.nearest(value) - value)
-        return gap / self.width(value) if gap > ON_GRID * max(self.step, ON_GRID * abs(value)) else 0.0
+        return gap / self.width(value) if gap > ON_GRID * (self.step or abs(value)) else 0.0
 
     def finer(self, share: float) -> Grid:
         """Return the grid of steps divided by a number; stock remains."""

@@ -33,8 +33,8 @@ from optlink.tasks.protocol import Progress, Timer, part
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.tasks.results.rounding import Influence, Rounding
 from optlink.tasks.search import Polisher
-from optlink.units import factor
 from optlink.validation import validate
+from optlink.validation.check import STATED, Requirement, requirements
 
 FEW = 4  # sizes up to which the whole grid is searched
 WHOLE = 1000  # programmes solved at most on the whole grid
@@ -289,25 +289,17 @@ class _Search:
             moved[one.limit] = max(moved.get(one.limit, 0.0), one.change)
 
         def missed(design: LinkageDesign) -> dict[str, tuple[float, str]]:
-            excess = {}
-            for bound in self.task.bounds if design.cycle is not None else ():
-                shown = next(one for one in design.figures if one.name == bound.name)
-                (low, high), size = bound.interval.bounds, factor(shown.unit, bound.interval.kind) if bound.interval.kind else 1.0
-                value, half = shown.result * size, 0.5 * (high - low)
-                gap = max(low - value, value - high) / size
-                if not math.isfinite(gap):
-                    return {}  # the design does not reach a position
-                if gap > 0.0:
-                    if math.isfinite(half):
-                        words = f"+- {rounded_up(gap + half / size)}"
-                    else:
-                        side, sign, limit = ("<=", 1.0, high) if math.isfinite(high) else (">=", -1.0, low)
-                        words = f"{side} {limit / size + sign * float(rounded_up(gap)):.6g}"
-                    excess[shown.words] = gap, f"{words} {shown.unit}".rstrip()
-            return excess
+            found = list(requirements(design.validation.checks))
+            other = [check for check in design.validation.failures if not STATED.fullmatch(check.name)]
+            if other or not all(math.isfinite(one.value) for one in found):
+                return {}  # it is not a matter of tolerances, or the design does not reach a position
+            return {one.name: (-one.margin, _admitting(one)) for one in found if not one.met}
 
         def worst(design: LinkageDesign) -> float:
-            shares = [gap / moved[name] if moved.get(name) else gap for name, (gap, _) in missed(design).items()]
+            shares = [
+                gap / next((change for limit, change in moved.items() if limit.startswith(name) and change), 1.0)
+                for name, (gap, _) in missed(design).items()
+            ]
             return max(shares, default=math.inf)
 
         near = min(self.tried.values(), key=worst, default=None)
@@ -428,6 +420,20 @@ def _searches(design: LinkageDesign, grids: Mapping[str, Grid], backend: str) ->
     for other in polisher.other_paces(0, top):
         if other.usable:
             yield _Search(design, other, grids, polisher)
+
+
+def _admitting(missed: Requirement) -> str:
+    """Return the tolerance or bound with which a missed limit would admit its value."""
+    gap = rounded_up(-missed.margin)
+    above = missed.value > missed.high
+    end = f"{missed.high + float(gap) if above else missed.low - float(gap):.10g}"
+    if not math.isfinite(missed.high - missed.low):
+        words = f"{'<=' if above else '>='} {end}"
+    elif missed.low == 1.0 and not missed.unit:  # a ratio of 1 is often the least one possible
+        words = f"1 ... {end}" if above else f"{end} ... {missed.high:.10g}"
+    else:
+        words = f"+- {rounded_up(0.5 * (missed.high - missed.low) - missed.margin)}"
+    return f"{words} {missed.unit}".rstrip()
 
 
 def rounded_up(value: float) -> str:

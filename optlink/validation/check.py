@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -43,6 +45,46 @@ class Check:
     value: Number
     limit: str
     unit: str
+
+
+KEY = r"(?:[\w.]+: )?"
+LIMIT = re.compile(r"(>=|<=|=|)\s*([-+]?\d\S*(?: \.\.\. \S+)?)")
+STATED = re.compile(
+    r"(?!Grashof: )(?:[\w.]+: .+|.+, (?:least|largest)|stroke of .+"
+    r"|(?:least|smallest|peak|largest) (?:transmission|pressure) angle(?: at .+)?)"
+)
+"""Names of limits that a file states, not of its bounds of dimensions or of the checks of the kinematics."""
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A measured limit of a file: its bounds are equal for a prescribed value, and infinite for an open side."""
+
+    name: str
+    value: Number
+    low: Number
+    high: Number
+    unit: str
+    met: bool
+
+    @property
+    def margin(self) -> float:
+        """Distance from the nearer bound, negative if the value is beyond it."""
+        return min(self.value - self.low, self.high - self.value)
+
+
+def requirements(checks: Iterable[Check]) -> Iterator[Requirement]:
+    """Yield the measured limits of a file; both sides of a range, whose checks follow one another, are one."""
+    stated = [check for check in checks if STATED.fullmatch(check.name) and LIMIT.fullmatch(check.limit)]
+    for name, sides in itertools.groupby(stated, lambda check: re.sub(", (?:least|largest)$", "", check.name)):
+        value, unit, low, high, met = math.nan, "", -math.inf, math.inf, True
+        for check in sides:
+            sense, text = LIMIT.fullmatch(check.limit).groups()  # type: ignore[union-attr]
+            least, _, most = text.partition(" ... ")
+            value, unit, met = check.value, check.unit, met and check.passed
+            low = low if sense == "<=" else max(low, float(least))
+            high = high if sense == ">=" else min(high, float(most or least))
+        yield Requirement(re.sub(f"^{KEY}", "", name), value, low, high, unit, met)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 import optlink
-from optlink.presentation.format import requirements
 from optlink.presentation.html.page import page, write_page
 from optlink.presentation.html.study_page import abridged
 from optlink.presentation.interface import page_content
@@ -86,11 +85,24 @@ def test_a_violated_limit_comes_first_and_a_value_is_one_row():
     sides = [Check("stroke: stroke of ram", True, 500.0, f"{sense} 500", "mm") for sense in (">=", "<=")]
     angle = Check("smallest transmission angle", False, 42.0, ">= 45", "deg")
     other = Check("link lengths re-measured in motion", True, 0.0, "<= 1e-9", "mm")
-    assert [(check.name, *limit) for check, *limit in requirements([*sides, other])] == [("stroke of ram", "=", "500")]
     (table,) = limits([*sides, other, angle], 10)
     assert [[cell.text for cell in row] for row in table.rows] == [
         ["smallest transmission angle", "42 deg", ">= 45 deg", "3 deg short"],
         ["stroke of ram", "500 mm", "= 500 mm", "met"],
+    ]
+
+
+def test_a_range_is_one_row_with_as_many_digits_as_show_its_least_margin():
+    def sides(name, value, low, high, unit=""):
+        return [Check(name, True, value, f">= {low}", unit), Check(name, True, value, f"<= {high}", unit)]
+
+    end = sides("bottom: end of the forward stroke of ram", 518.9632391, "518.96", "519.04", "mm")
+    least, largest = sides("time ratio, equal strokes", 1.0000391, "1", "1.001")
+    ratio = [replace(least, name=f"{least.name}, least"), replace(largest, name=f"{largest.name}, largest")]
+    (table,) = limits([*end, *ratio], 10)
+    assert [[cell.text for cell in row] for row in table.rows] == [
+        ["end of the forward stroke of ram", "518.963 mm", "518.96 ... 519.04 mm", "0.00324 mm"],
+        ["time ratio, equal strokes", "1.00004", "1 ... 1.001", "3.91e-05"],
     ]
 
 

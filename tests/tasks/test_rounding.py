@@ -126,6 +126,23 @@ def test_an_exact_requirement_asks_for_tolerances():
     assert float(result.rounding.needed["time ratio of rocker"].removeprefix("+- ")) >= abs(ratio - 1.25)
 
 
+def test_limits_of_a_four_bar_are_named_with_the_tolerances_that_the_nearest_design_needs():
+    stock = {"crank": ["20 mm"], "coupler": ["258.9 mm", "259 mm"], "rocker": ["31.1 mm", "31.2 mm"]}
+    changes = {"mechanism.frame": "260 mm", "limits.swing_angle": "80 deg"}
+    problem = optlink.read(template("wiper").text, "wiper").override(changes)
+    result = optlink.solve(problem, starts=1, certify=False, rounding=stock)
+    assert not result.valid
+    swing, ratio, _ = crank_rockers(*(result.design[name] for name in LENGTHS), 0.26)
+    needed = result.rounding.needed
+    tolerance = float(needed["swing angle"].removeprefix("+- ").removesuffix(" deg"))
+    most = float(needed["time ratio, equal strokes"].removeprefix("1 ... "))
+    assert 0.0 <= tolerance - abs(math.degrees(swing) - 80.0) < 0.005
+    assert 0.0 <= most - max(ratio, 1.0 / ratio) < 1e-5
+    allowed = {"limits.swing_angle": f"80 deg +- {tolerance} deg", "limits.time_ratio": [1, most]}
+    again = optlink.solve(problem.override(allowed), starts=1, certify=False, rounding=stock)
+    assert again.valid
+
+
 MADE = {  # problem, tolerances, objective without and with sizes of 0.1 mm, whether the whole grid was searched
     "crank-rocker": ({}, 7.59236671e-3, 7.59307975e-3, True),
     "wiper": ({"limits.swing_angle": "90 deg +- 0.5 deg", "limits.time_ratio": "1..1.01"}, 0.706585305, 0.707355783, True),

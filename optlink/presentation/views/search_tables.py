@@ -13,13 +13,13 @@ import numpy as np
 from optlink.errors import Status
 from optlink.presentation.chart_spec import Axis, Boxes, ChartSpec, Curve, Mark, Panel
 from optlink.presentation.format import (
+    comparable,
     dimension,
     fixed,
     joined,
     number,
     pretty,
     price_step,
-    requirements,
     significant,
     times,
 )
@@ -52,6 +52,7 @@ from optlink.tasks.results.fit import Fit
 from optlink.tasks.results.rounding import Influence, Rounding
 from optlink.units import percent
 from optlink.validation import Check
+from optlink.validation.check import requirements
 
 if TYPE_CHECKING:
     from optlink.problem.machine.model import Problem
@@ -476,21 +477,21 @@ def limits(selected: Sequence[Check], most: int) -> list[TableSpec]:
     Of more than `most` limits, those with the least margins relative to their bounds are shown.
     """
     rated: list[tuple[bool, float, Row]] = []
-    for check, sense, bound in requirements(selected):
-        low, _, high = bound.partition(" ... ")
-        ends = [(">=", float(low)), ("<=", float(high))] if high else [(sense, float(low))]
-        margin = min(check.value - end if side == ">=" else end - check.value for side, end in ends)
-        size = max(abs(end) for _, end in ends) or 1.0
-        exact = sense == "=" or abs(margin) <= EXACT * size
-        words = (
-            ("met" if sense == "=" else "none")
-            if exact and check.passed
-            else f"{number(abs(margin), 3)} {check.unit}{'' if check.passed else ' short'}"
+    for one in requirements(selected):
+        gap, size = abs(one.margin), max((abs(end) for end in (one.low, one.high) if math.isfinite(end)), default=0.0) or 1.0
+        value, exact = one.low == one.high, gap <= EXACT * size
+        words = f"{number(gap, 3)} {one.unit}{'' if one.met else ' short'}"
+        if one.met and (value or exact):
+            words = "met" if value else "none"
+        bound = " ... ".join(f"{end:.6g}" for end in dict.fromkeys((one.low, one.high)) if math.isfinite(end))
+        sense = "= " if value else ">= " if one.high == math.inf else "<= " if one.low == -math.inf else ""
+        row = (
+            one.name if one.met else bad(one.name),
+            strong(f"{comparable(one.value, 0.0 if exact else gap)} {one.unit}".rstrip()),
+            f"{sense}{bound} {one.unit}".rstrip(),
+            verdict(words.rstrip(), one.met),
         )
-        required = f"{sense} {bound} {check.unit}".strip()
-        value = f"{number(check.value, 4)} {check.unit}".rstrip()
-        row = (check.name if check.passed else bad(check.name), strong(value), required, verdict(words.rstrip(), check.passed))
-        rated.append((check.passed, abs(margin) / size, row))
+        rated.append((one.met, gap / size, row))
     rated.sort(key=lambda one: one[:2])
     notes = [quiet(f"and {len(rated) - most} more, with larger margins")] if len(rated) > most else []
     rows = [row for *_, row in rated[:most]]
