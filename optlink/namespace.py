@@ -34,7 +34,13 @@ def namespace(name: str, file: str) -> tuple[list[str], Callable[[str], Any], Ca
             warnings.warn(f"{name}.{wanted} is now {successor}", DeprecationWarning, stacklevel=2)
             home, _, own = successor.rpartition(".")
             return getattr(importlib.import_module(home), own)
-        raise AttributeError(f"module {name!r} has no attribute {wanted!r}", name=wanted, obj=package)
+        wanted_there = re.compile(rf"\bas {re.escape(wanted)}\b")
+        inner = () if wanted.startswith("_") else sorted(Path(file).parent.glob("*/__init__.pyi"))
+        homes_within = [
+            f"{name}.{stub.parent.name}.{wanted}" for stub in inner if wanted_there.search(stub.read_text(encoding="utf-8"))
+        ]
+        hint = f". It is {' or '.join(homes_within)}" if homes_within else ""
+        raise AttributeError(f"module {name!r} has no attribute {wanted!r}{hint}", name=wanted, obj=package)
 
     def listed() -> list[str]:
         return sorted({*homes, *(own for own in vars(sys.modules[name]) if own.startswith("__"))})

@@ -118,6 +118,13 @@ def test_an_import_from_inside_is_found() -> None:
     assert internal(code) == ["jet", "optlink.io", "solve"]
 
 
+def test_a_name_of_an_inner_namespace_is_found_there() -> None:
+    with pytest.raises(AttributeError, match=r"no attribute 'pareto'\. It is optlink\.studies\.pareto"):
+        _ = optlink.pareto  # type: ignore[attr-defined]
+    with pytest.raises(AttributeError, match=r"no attribute 'paretto'$"):
+        _ = optlink.paretto  # type: ignore[attr-defined]
+
+
 def test_no_module_hides_a_function_of_its_name() -> None:
     """Importing `package.name` sets that attribute, so that a public function must not have the name of a module beside it."""
     for package in PACKAGES:

@@ -121,9 +121,9 @@ def _section(item: Any, level: str, owner: str, without: Collection[str] = ()) -
 
 
 def _meaning(item: Any) -> str:
-    """The docstring of a member, or the text in its annotation."""
+    """The docstring of a member without its errors, or the text in its annotation."""
     if item.docstring:
-        return str(item.docstring.value)
+        return str(item.docstring.value).partition("\n\nRaises\n---")[0]
     text = TEXT.fullmatch(str(item.annotation)) if item.is_attribute else None
     return text[2] if text else ""
 

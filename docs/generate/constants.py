@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 RECORD = Path(__file__).resolve().parents[2] / "benchmarks" / "constants_record.json"
+CHOSEN = "chosen"
 KINDS = {
     "rounding": "separates rounding errors of double precision from what counts",
     "proof": "bounds an error in a proof; only a larger value is safe",
@@ -19,6 +20,7 @@ KINDS = {
     "input": "the most, or the least, that a user may ask for",
     "output": "what a result says or draws; the design does not depend on it",
     "memory": "size of a block; the result does not depend on it",
+    CHOSEN: "by judgement: neither measured nor derived",
 }
 LISTED = 12  # largest effects that are listed
 
@@ -45,14 +47,14 @@ def _counts(rows: list[Row]) -> Iterator[str]:
     measured = [row for row in rows if "half" in row]
     without = sum(not any(effect for _, _, effect in _effects(row)) for row in measured)
     decided = sum(any(_decides(effect) for _, _, effect in _effects(row)) for row in measured)
-    left = sum("half" not in row and "reason" not in row for row in rows)
     kinds = Counter(row["reason"].partition(":")[0] for row in rows if "reason" in row and "half" not in row)
     yield from (f"The source has {len(rows)} numeric constants:", "", "| constants | number | |", "|---|---|---|")
     yield f"| measured: they change the design or the verdict | {decided} | halved or doubled, in a search that reads them |"
     yield f"| measured: they change the work | {len(measured) - decided - without} | evaluations, starts, or twice the time |"
     yield f"| measured: nothing changes | {without} | in the searches that were tried |"
-    yield from (f"| derived: {kind} | {kinds[kind]} | {meaning} |" for kind, meaning in KINDS.items())
-    yield from (f"| neither measured nor derived yet | {left} | |", "")
+    for kind, meaning in KINDS.items():
+        yield f"| {'' if kind == CHOSEN else 'derived: '}{kind} | {kinds[kind]} | {meaning} |"
+    yield ""
 
 
 def _largest(rows: list[Row]) -> Iterator[str]:
@@ -77,7 +79,7 @@ def _table(rows: list[Row], *, full: bool) -> Iterator[str]:
 def _why(row: Row) -> str:
     found = [row["reason"]] if "reason" in row else []
     found += [_measured(row)] if "half" in row else []
-    return "; ".join(found) or "not measured yet"
+    return "; ".join(found)
 
 
 def _measured(row: Row) -> str:

@@ -17,7 +17,7 @@ from dataclasses import fields, is_dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, Self, TextIO, overload
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, Self, TextIO, overload, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +85,7 @@ def reports(module: str) -> Any:
     return importlib.import_module(f"optlink.presentation.{module}")
 
 
+@runtime_checkable
 class Result(Protocol):
     """What every result of optlink has, whatever else its class adds."""
 
@@ -98,7 +99,7 @@ class Result(Protocol):
 
     @property
     def valid(self) -> bool:
-        """Whether one can rely on it, as the class says: a command exits with code 0."""
+        """Whether all checks of its kind pass: a command exits with code 0."""
         ...
 
     @property
@@ -262,7 +263,7 @@ class Document(Summary):
         Parameters
         ----------
         frames : int
-            Most pictures.
+            Largest number of pictures.
 
         Returns
         -------

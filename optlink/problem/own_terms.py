@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import inspect
 import math
+import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from optlink.errors import InputError
+from optlink.errors import InputError, OptlinkError
 from optlink.io import register
 from optlink.linkage.vector2d import Value
 from optlink.problem.arguments import typed
@@ -103,11 +104,11 @@ def limit(*, unit: str = "", max: float | None = None, min: float | None = None)
 
     Examples
     --------
-    >>> @optlink.limit(unit="deg", max=120)
-    ... def rocker_angle(machine):
-    ...     return machine.state("rocker").angle
-    >>> sorted(rocker_angle.changes)
-    ['limits.rocker_angle']
+    >>> @optlink.limit(unit="m/s", max=3.5)
+    ... def ram_speed(machine):
+    ...     return machine.slides["F"][1]
+    >>> ram_speed.changes
+    {'limits.ram_speed': {'quantity': 'ram speed', 'measure': 'largest', 'max': '3.5 m/s'}}
     """
     bounds = {side: value for side, value in (("max", max), ("min", min)) if value is not None}
     if len(bounds) != 1:
@@ -134,6 +135,20 @@ def _kind(unit: str) -> str:
     return kind
 
 
+def _value(formula: Formula, *arguments: Any) -> Value:
+    """Return the value of a function of the user; an error names the function, and its line that fails."""
+    try:
+        return 0.0 + formula(*arguments)
+    except OptlinkError:
+        raise
+    except Exception as error:  # whatever a function of a user raises
+        lines = [f" in line {frame.lineno}" for frame in traceback.extract_tb(error.__traceback__)[1:2]]
+        text = str(error).partition("\n")[0].rstrip(".")
+        message = f"this function cannot be evaluated{''.join(lines)}: {type(error).__name__}: {text}"
+        remedy = "Return one number, computed by operators and functions of numpy from the motion and the reactions, without if"
+        raise InputError(message, remedy, key=formula.__name__) from error
+
+
 def _registered(formula: Formula, kind: str) -> str:
     """Register a function as a quantity and return its name, which is that of the function with spaces."""
     name, forces = formula.__name__.replace("_", " "), len(inspect.signature(formula).parameters) > 1
@@ -141,8 +156,8 @@ def _registered(formula: Formula, kind: str) -> str:
         name,
         kind,
         ("peak", "rms", "mean", "largest", "least"),
-        signal=lambda moving, reactions, _: (formula(moving, reactions) if forces else formula(moving),),
-        history=lambda record, _: record.full(formula(record.moving, record.reactions) if forces else formula(record.moving)),
+        signal=lambda moving, reactions, _: (_value(formula, moving, *[reactions] * forces),),
+        history=lambda record, _: record.full(_value(formula, record.moving, *[record.reactions for _ in range(forces)])),
         forces=forces,
     )
     if name in OWN and QuantityType.registry.get(name) is OWN[name]:

@@ -41,7 +41,8 @@ def test_help_shows_every_word_within_the_terminal(words, width):
     texts += [word for param in options for word in (*param.opts, *param.secondary_opts)]
     texts += [param.metavar or "" for param in command.params]
     texts += [inner.help for inner in getattr(command, "commands", {}).values()]
-    shown = {*done.stdout.split(), *re.sub(r"-\n\s+", "-", done.stdout).split()}  # a word with a hyphen may end a line there
+    whole = done.stdout.replace("[PROBLEM]", "PROBLEM").replace("[TEMPLATE]", "TEMPLATE")  # as older versions of typer write them
+    shown = {*whole.split(), *re.sub(r"-\n\s+", "-", whole).split()}  # a word with a hyphen may end a line there
     assert [word for text in texts for word in text.split() if word not in shown and f"{word}," not in shown] == []
     assert max(map(len, done.stdout.splitlines())) <= width
     assert "{" not in done.stdout

@@ -73,3 +73,29 @@ def test_a_faulty_decorator_is_refused_in_a_sentence(decorator, words):
 
     with pytest.raises(InputError, match=words):
         decorator()(torque)
+
+
+def lacking(machine):
+    return machine.nothing
+
+
+def choosing(machine):
+    return 1.0 if machine.slides["F"][1] > 0.0 else 2.0
+
+
+def several(machine):
+    return machine.slides["F"]
+
+
+@pytest.mark.parametrize(
+    ("function", "words"),
+    [
+        (lacking, r"lacking: .* in line \d+: AttributeError: .* 'nothing'"),
+        (choosing, r"choosing: .* in line \d+: RuntimeError: .*truth value.* without if"),
+        (several, r"several: .*: TypeError: .* 'tuple'\. Return one number"),
+    ],
+)
+def test_a_function_that_fails_is_named_with_its_line(function, words):
+    term = optlink.objective(measure="rms")(function)
+    with pytest.raises(InputError, match=words):
+        optlink.solve(optlink.load("shaper-design", term.changes), starts=1)

@@ -379,6 +379,9 @@ def test_rms_torque_is_that_of_closed_forms_and_of_the_table():
     squares = shaper["input.torque_Nm"][:-1] ** 2
     assert shaper.rms_torque == pytest.approx(math.sqrt(np.mean(squares)), rel=1e-4)
     assert abs(shaper.mean_torque) < shaper.rms_torque < shaper.extremes["input.torque_Nm"].largest
+    assert isinstance(shaper, optlink.Result)
+    with pytest.raises(optlink.UnknownName, match=r"no column input\.torque\b.*input\.torque_Nm"):
+        _ = shaper.extremes["input.torque"]
     assert shaper.to_dict()["rms_torque_Nm"] == shaper.rms_torque
     shown = run("analyze", "shaper").stdout
     assert re.search(rf"rms torque +{shaper.rms_torque:.3f} +N·m\s", shown)

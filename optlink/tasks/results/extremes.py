@@ -15,6 +15,7 @@ from optlink.dynamics.columns import ANGLE, MotionColumns, pin_columns
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import without_values
 from optlink.dynamics.work import Work
+from optlink.errors import UnknownName, nearest
 from optlink.linkage.extrema import Index, SampledFunctions, distinct, zeros
 from optlink.linkage.stroke import Ranges, within_cycle
 from optlink.linkage.vector2d import Array
@@ -83,7 +84,7 @@ class Extremes(Mapping[str, Extreme]):
 
     def __getitem__(self, name: str) -> Extreme:
         if name not in self._names:
-            raise KeyError(name)
+            raise UnknownName(f"no column {name}", nearest(str(name), self._names))
         return self.select([name])[name]
 
     def __iter__(self) -> Iterator[str]:
