@@ -187,7 +187,7 @@ def test_every_part_and_pin_is_listed_and_drawn(name, sheet_of):
     rows: dict[float, list[Text]] = {}
     for one in first.texts:
         if one.box[0, 0] > first.border[1, 0] - 181.0:
-            rows.setdefault(round(float(one.box[0, 1]), 3), []).append(one)
+            rows.setdefault(round(float(one.box[:, 1].mean()), 3), []).append(one)
     listed = [[one.text for one in sorted(row, key=lambda one: one.box[0, 0])] for row in rows.values()]
     listed = [row for row in listed if len(row) >= 4 and row[0].isdigit() and row[1].isdigit()]
     assert sorted(int(row[0]) for row in listed) == list(range(1, len(listed) + 1))
