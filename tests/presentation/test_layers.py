@@ -171,10 +171,10 @@ def stack_of(seed: int) -> Stacked | str | None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", [0, 120])
-def test_random_six_bars_are_stacked_or_a_collision_is_named(first):
+@pytest.mark.parametrize("first", [120, 270])
+def test_random_six_bars_are_stacked(first):
+    """One of them, 276, needs nine layers for its five links."""
     found = {seed: made for seed in range(first, first + 10) if (made := stack_of(seed)) is not None}
-    refused = [made for made in found.values() if isinstance(made, str)]
-    assert all("cannot be stacked: " in text and " collide at a crank angle of " in text for text in refused)
-    assert len(refused) < 0.2 * len(found)
-    assert {seed: hits for seed, made in found.items() if isinstance(made, Stacked) and (hits := collisions(made))} == {}
+    assert len(found) > 5
+    assert {seed: made for seed, made in found.items() if isinstance(made, str)} == {}
+    assert {seed: hits for seed, made in found.items() if (hits := collisions(made))} == {}

@@ -20,7 +20,7 @@ from optlink.presentation.parts.model import FlatPart, PartSet, Pin, distance, p
 from optlink.presentation.shapes import hull, in_line
 
 CLEARANCE = 0.05  # least distance of two things in one layer, as a share of the hole diameter
-MORE = 3  # layers beyond the number of links, for heads
+LAYERS = 2  # most layers per link, the other ones for heads
 REMEDY = "Try a smaller [parts] hole, or head = the diameter of the pins; --content parts needs no layers"
 
 
@@ -62,7 +62,7 @@ class Stack:
             If there are none, with a collision that remains and its crank angle.
         """
         count = len(self.links)
-        for top in range(1, count + MORE + 1):
+        for top in range(1, LAYERS * count + 2):
             found = self._placed({FRAME: 0}, top, 0)
             if found:
                 return found
