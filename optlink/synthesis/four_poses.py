@@ -120,7 +120,7 @@ def curves(places: Sequence[complex] | Complex, angles: Sequence[float] | Array,
         return DyadCurves(z, turn, size, special=sentence)
     poles, sines = _poles(scaled, turn)
     sheets = _Sheets(equations(scaled, turn)[0], poles[int(np.argmax(sines))])
-    if sheets.vanishes:
+    if sheets.vanishes or not sheets.intervals:
         return DyadCurves(z, turn, size, special=MANY)
     gap = np.full((1, 3), np.nan)
     traced = [sheets.traced(low, high, sheet, samples) for low, high, sheet in sheets.intervals]

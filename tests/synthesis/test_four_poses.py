@@ -133,6 +133,7 @@ def test_turning_and_transmission_equal_a_sweep():
         ([0, 1, 1j, 1], [0.0, 0.3, 0.6, 0.3], "poses 2 and 4 are the same: three poses"),
         ([0, 1, 1j, 2], [0.2] * 4, "does not turn"),
         ([2 + 1j - (2 + 1j) * np.exp(1j * t) for t in (0.0, 0.3, 0.5, 0.9)], [0.0, 0.3, 0.5, 0.9], "about one point"),
+        ([0, 0, 0, 1], [0.0, 0.3, 0.5, 0.9], "special positions"),
     ],
 )
 def test_special_poses_give_a_sentence(places, turns, words):
