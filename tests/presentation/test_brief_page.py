@@ -14,6 +14,7 @@ from optlink.presentation.html.page import page, write_page
 from optlink.presentation.html.study_page import abridged
 from optlink.presentation.interface import page_content
 from optlink.presentation.views.search_tables import limits
+from optlink.problem.templates import template
 from optlink.validation import Check
 from tests.browser import console, faults, opened
 from tests.cli.test_cli import run
@@ -44,6 +45,30 @@ def test_a_short_page_fills_at_most_two_sheets(driver, source, tmp_path):
     assert console(driver) == []
 
 
+ROOM = """
+dispatchEvent(new Event("beforeprint"));
+return [...document.querySelectorAll(".plot")].flatMap((place) => {
+  const { layout, _fullLayout: full } = place;
+  const axes = Object.keys(layout).filter((key) => key.startsWith("yaxis")).map((key) => layout[key].domain);
+  return axes.slice(1).map((domain, k) => {
+    const legend = place.querySelector(`.legend${k + 2}`);
+    return [full._size.h * (axes[k][0] - domain[1]), legend ? legend.getBoundingClientRect().height : 0];
+  });
+});
+"""
+
+
+def test_a_printed_legend_covers_no_curve_above_it(driver, tmp_path):
+    place = tmp_path / "page.html"
+    (stored,) = (str(path) for path in RECORDED if path.stem == "design-machine" and path.parent.name == "4")
+    place.write_text(short(stored), encoding="utf-8")
+    assert opened(driver, place) == ([], [])
+    gaps = driver.execute_script(ROOM)
+    driver.execute_script('dispatchEvent(new Event("afterprint"))')
+    assert any(height > 0.0 for _, height in gaps), gaps
+    assert all(gap >= height for gap, height in gaps)
+
+
 def test_paper_shows_positions_in_place_of_the_motion(driver, tmp_path):
     place = tmp_path / "page.html"
     write_page(page_content("crank-rocker", {}), place, brief=True)
@@ -67,6 +92,12 @@ def test_a_short_page_has_no_words_of_the_search(source):
     told = text_of(short(source))
     assert not SEARCH.search(told)
     assert "linkage" in told.partition("Dimensions")[0]
+
+
+def test_the_sentence_of_a_short_page_states_the_swing():
+    problem = {"limits.swing_angle": "90 deg +- 0.5 deg", "limits.time_ratio": [1, 1.01]}
+    result = optlink.solve(optlink.read(template("wiper").text, "wiper").override(problem), starts=1, certify=False)
+    assert "swing angle 89.5°; the least transmission angle" in text_of(page(page_content(result, {}), brief=True))
 
 
 def test_limits_have_values_and_margins():

@@ -95,7 +95,9 @@ def _achieved(model: ReportModel) -> str:
     told = (view.achieved or view.conclusion or (lambda _: ""))(outcome)
     if model.cycle is None:
         return told
-    clauses = told.rstrip(".").split(". ")
+    best = getattr(outcome, "best", None)
+    motions = [one for one in (() if best is None else conclusions.motions(best.validation.checks)) if one not in told]
+    clauses = [*motions, *filter(None, told.rstrip(".").split(". "))]
     return f"{conclusions.machine(model.cycle)}: {'; '.join(clause[:1].lower() + clause[1:] for clause in clauses)}."
 
 

@@ -11,6 +11,7 @@ from optlink.problem.terms import BACK
 from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, TermFigure
+from optlink.validation.check import Check, requirements
 
 NO_BREAK = "\N{NO-BREAK SPACE}"
 
@@ -73,6 +74,12 @@ def _compared(outcome: LinkageDesign) -> str:
     text = joined(words)
     unfair = "" if stroke or feasible else "; the initial design does not meet the limits"
     return f"{text[:1].upper()}{text[1:]}{unfair}."
+
+
+def motions(checks: Iterable[Check]) -> list[str]:
+    """Return the strokes and swings that a file requires, as a design has them."""
+    required = (one for one in requirements(checks) if one.name.startswith(("stroke of ", "swing angle")))
+    return [f"{one.name} {figure(one.value, one.unit)}" for one in required]
 
 
 def _limiting(limits: Iterable[LimitState]) -> str:
