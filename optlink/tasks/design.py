@@ -30,7 +30,7 @@ from optlink.solvers.infeasibility import Explanation, Follow, explain, feasible
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Exploration, Searcher
 from optlink.synthesis.freudenstein import FirstStep
-from optlink.tasks.exact import FiveTargets, applies, exact
+from optlink.tasks.five_targets import FiveTargets, applies
 from optlink.tasks.protocol import DesignTask, Progress, Search, Timer, agreement, completed, part
 from optlink.tasks.results.common import INCOMPLETE
 from optlink.tasks.results.conflict import cannot_turn, margin_notes
@@ -102,6 +102,8 @@ class SynthesisTask(DesignTask[SynthesisResult]):
     def search(self, problem: ProblemFile, search: Search) -> SynthesisResult:
         """Return the best distinct designs, or all exact ones alone; see `DesignTask.search`."""
         if getattr(problem.spec.requirement, "exact", False):  # a key of some kinds
+            from optlink.tasks.exact import exact
+
             return exact(problem)
         if search.backend == "both":
             return _compared(problem, search, self.search)

@@ -16,7 +16,7 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.synthesis.five_poses import FourBarSolution, link
 from optlink.synthesis.four_poses import DEFECTS, POSES, DyadCurves, Pairs, curves
-from optlink.tasks.exact import CONDITIONS, FiveTargets
+from optlink.tasks.five_targets import CONDITIONS, FiveTargets
 from optlink.tasks.results.design import SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolutions
 

@@ -1,0 +1,283 @@
+"""All linkages that meet five targets exactly: poses, timed points, or points of a function, each judged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from optlink.errors import Status
+from optlink.linkage.bodies import FRAME, Guide, Link
+from optlink.linkage.dyads import RRP
+from optlink.linkage.fourbar import InnerFourBar
+from optlink.linkage.mechanism import Arm, Mechanism
+from optlink.linkage.vector2d import TURN, Array
+from optlink.problem.design import DesignProblem
+from optlink.problem.file import ProblemFile
+from optlink.problem.requirements.base import MARK, START
+from optlink.synthesis.five_poses import POSES, FourBarSolution, couplers, dyads, timed_paths
+from optlink.tasks.results.design import LinkageDesign
+from optlink.tasks.results.exact import ExactSolution, ExactSolutions
+from optlink.tasks.search import mode_of
+from optlink.validation import validate
+
+CONDITIONS = 10  # of five poses with free timing or five timed points, on as many design variables of a four-bar
+TRIALS = ((0.3, 0.5), (1.1, -0.4))  # starts [rad], crank and output, with which a law must rise by the same
+GRASHOF, BOUNDED = "Grashof: ", " within its bounds"  # names of checks
+
+
+@dataclass(frozen=True)
+class SliderCrank:
+    """Crank, rod and guide of a linkage that is a slider-crank as a whole; `side` as that of the dyad."""
+
+    crank: Link
+    coupler: Link
+    pin: str
+    guide: Guide
+    side: int
+
+    @property
+    def names(self) -> tuple[str, str, str]:
+        """Names of the lengths of crank and rod, and of the offset of the guide."""
+        return str(self.crank.length), str(self.coupler.length), str(self.guide.offset)
+
+
+def slider_crank(linkage: Mechanism) -> SliderCrank | None:
+    """Return the slider-crank that a linkage is; None for any other, or if the guide does not count from the crank pivot."""
+    group, crank = linkage.groups[0], linkage.crank
+    if len(linkage.groups) > 1 or linkage.drives or linkage.limits is not None or not isinstance(group, RRP):
+        return None
+    pin, guide = group.outer
+    plain = crank.end == pin and {group.first.start, group.first.end} == {pin, group.inner}
+    placed = (guide.on, guide.through, guide.tilt) == (FRAME, crank.start, 0.0) and guide.at in ("", group.inner)
+    return SliderCrank(crank, group.first, pin, guide, group.side) if plain and placed else None
+
+
+def _loop(task: DesignProblem) -> InnerFourBar | SliderCrank | None:
+    return task.four_bar or slider_crank(task.linkage)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A solution, with its validated design and the number of its assembly mode among the files, if it has no defect."""
+
+    solution: ExactSolution
+    variant: int
+    design: LinkageDesign | None
+
+
+class FiveTargets:
+    """The exact solutions of a problem with definite assembly modes in `files`; see `applies`."""
+
+    def __init__(self, files: Sequence[ProblemFile]) -> None:
+        self.files, self.task = files, files[0].spec
+        self.counts, pairs = self._solved()
+        self.found = sorted(
+            (found for pair in pairs if (found := self._judged(pair)) is not None),
+            key=lambda one: (len(one.solution.reasons), -one.solution.transmission),
+        )
+
+    def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
+        """Return the numbers of roots, and the four-bars that they make, each with the link that is its crank."""
+        task = self.task
+        points = task.data.columns
+        places = points[:, 0] + 1j * points[:, 1]
+        pairs: Sequence[FourBarSolution]
+        if task.law_given:
+            kind = "five points of a function"
+            found, pairs = couplers(task.law.offsets, _rises(task, *TRIALS[0]), slides=task.slides)
+        elif task.requirement.kind == "path":
+            assert task.data.offsets is not None
+            kind, (found, pairs) = "five timed points", timed_paths(places, task.data.offsets)
+        else:
+            angles = np.unwrap(np.arctan2(points[:, 3], points[:, 2]))
+            kind, found = "five poses", dyads(places, angles)
+            links = [dyad for dyad in found.real if dyad.kind == "RR"]
+            pairs = [FourBarSolution(a, b, places, angles) for a in links for b in links if a is not b]
+        frame = task.law_given and not task.slides and bool(found.real)
+        sliders = sum(dyad.kind != "RR" for dyad in found.real) + frame
+        certified, either = sum(dyad.certified for dyad in found.real), task.requirement.kind == "motion"
+        linkage = "four-bar" if task.four_bar else "slider-crank"
+        return ExactSolutions(kind, len(found.real), certified, found.complex, sliders, found.special, either, (), linkage), pairs
+
+    @property
+    def summary(self) -> ExactSolutions:
+        """All solutions as data."""
+        return replace(self.counts, solutions=tuple(one.solution for one in self.found))
+
+    @property
+    def usable(self) -> list[tuple[int, LinkageDesign]]:
+        """Designs that pass all checks with the numbers of their assembly modes, the one with the best transmission first."""
+        return [(one.variant, one.design) for one in self.found if one.solution.usable and one.design is not None]
+
+    def _judged(self, pair: FourBarSolution) -> _Found | None:
+        """Return a four-bar as a solution of the problem, with all reasons that exclude it."""
+        task = self.task
+        crank, coupler, rocker = _vectors(pair)
+        slides = pair.follower.slider
+        sizes = np.array([np.abs(each).max() for each in (crank, coupler, crank if slides else rocker)])
+        if np.min(sizes) <= 1e-9 * np.max(sizes):
+            return None
+        across = (np.conj(coupler) * rocker).imag
+        sine = np.abs(across) / (np.abs(coupler) * np.abs(rocker))
+        transmission = float(np.min(np.arcsin(np.clip(sine, 0.0, 1.0))))
+        # the joint lies to the left of the line from the crank pin to the rocker pivot, or forward of the pin along the guide
+        side = 1 if (across[0] < 0.0) != slides else -1
+        values = _values(task, pair)
+        reasons = list(pair.defects)
+        loops = [_loop(file.spec) for file in self.files]
+        variant = next((k for k, loop in enumerate(loops) if loop is not None and loop.side == side), None)
+        mode = (("forward", "backward") if slides else ("left", "right"))[side < 0]
+        certified = pair.crank.certified and pair.follower.certified
+        design = None
+        if not reasons and variant is None:
+            reasons.append(f'assembly: it needs "{mode}"')
+        if not reasons and variant is not None:
+            design = self._design(variant, values, np.angle(crank))
+            values, mode = design.values, mode_of(design.problem)
+            reasons += _failures(design)
+            transmission = transmission if reasons else design.least_transmission
+        shown = {name: value for name, value in values.items() if name in task.quantities}
+        return _Found(ExactSolution(shown, mode, transmission, certified, tuple(reasons)), variant or 0, design)
+
+    def _design(self, variant: int, values: Mapping[str, float], phi: Array) -> LinkageDesign:
+        """Return a four-bar as a validated design."""
+        file = self.files[variant]
+        task = file.spec
+        full = task.design({name: values[name] for name in task.free})
+        if task.data.offsets is None:
+            datum = task.linkage.datum
+            phi = phi - (values[datum] if isinstance(datum, str) else datum)
+            way = min((1.0, -1.0), key=lambda sign: float(np.sum(np.mod(sign * np.diff(phi), TURN))))
+            angles = phi[0] + way * np.concatenate([[0.0], np.cumsum(np.mod(way * np.diff(phi), TURN))])
+        else:
+            angles = task.crank_angles(full, None)
+        checked = validate(task, full, angles)
+        return LinkageDesign(file, full, angles, checked.objective, Status.NOT_SEARCHED, checked)
+
+
+def alone(task: DesignProblem, count: int) -> bool:
+    """Return whether a problem has one requirement, of a number of targets, and nothing beside it."""
+    return len(task.parts) == 1 and not task.composed and task.robust is None and len(task.data.columns) == count
+
+
+def marked(task: DesignProblem) -> bool:
+    """Return whether a problem is one of a four-bar, whose coupler has the point."""
+    loop = task.four_bar
+    return loop is not None and (loop.coupler.body, task.point) in task.linkage.marks
+
+
+def _failures(design: LinkageDesign) -> Iterator[str]:
+    """Yield the checks that a design fails, as reasons; without those that only follow from a crank that does not turn."""
+    angles, task = design.crank_angles, design.task
+    if task.data.offsets is None and math.copysign(1.0, angles[-1] - angles[0]) not in task.ways:
+        yield f"rotation: the crank turns {'' if angles[-1] < angles[0] else 'counter-'}clockwise"
+    for check in design.validation.failures:
+        stated = f"{check.value:.4g} {check.unit}".rstrip()
+        if check.name.startswith(GRASHOF):
+            yield f"crank: does not turn fully ({check.name.removeprefix(GRASHOF)})"
+        elif check.name.endswith(BOUNDED):
+            yield f"outside your bounds: {check.name.removesuffix(BOUNDED)} {stated}, allowed {check.limit}"
+        elif not math.isnan(check.value):
+            yield f"{check.name}: {stated}, required {check.limit}"
+
+
+def applies(task: DesignProblem) -> bool:
+    """Return whether a problem has finitely many exact solutions that are cheap to find.
+
+    It is one of a four-bar with as many design variables as conditions: five poses with free timing, five points that are timed
+    from a free start, or five points of a law of the rocker with free start angles. A slider-crank has such a law of its slide.
+    """
+    loop = _loop(task)
+    if loop is None or not alone(task, POSES):
+        return False
+    if task.law_given:
+        names = task.start_name, task.base_name
+        guides = {guide.name for guide in task.linkage.guides}
+        suitable = task.task == "function" if task.four_bar else task.requirement.kind == "function" and task.output in guides
+        if not suitable or task.everywhere or not {*names, *loop.names} <= set(task.free):
+            return False
+        return bool(np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12))
+    timed = {"motion": "free", "path": "from start"}.get(task.requirement.kind)
+    return timed == task.timing and marked(task) and len(task.free) >= CONDITIONS and not task.meets_again
+
+
+def _rises(task: DesignProblem, start: float, base: float) -> Array:
+    """Return the prescribed output [rad] of a law at its positions, above the output at the start."""
+    return task.prescribed_outputs({**task.design({}), task.start_name: start, task.base_name: base}) - base
+
+
+def _joint(part: Array) -> complex:
+    """Return homogeneous coordinates as a complex number, of a point at infinity the direction to it."""
+    return complex(*part[:2]) / (part[2] or float(np.hypot(*part[:2])))
+
+
+def _vectors(pair: FourBarSolution) -> tuple[Array, Array, Array]:
+    """Return crank, coupler and rocker at all positions as complex numbers, each from its end nearer to the crank pivot; for a
+    slider the normal of its line in place of the rocker.
+    """
+    rotation = np.exp(1j * (pair.angles - pair.angles[0]))
+    pins, joints = (pair.places + rotation * (_joint(dyad.point) - pair.places[0]) for dyad in (pair.crank, pair.follower))
+    end = _joint(pair.follower.pivot)
+    return pins - _joint(pair.crank.pivot), joints - pins, np.full(len(joints), end) if pair.follower.slider else end - joints
+
+
+def _slide_values(task: DesignProblem, pair: FourBarSolution, loop: SliderCrank) -> dict[str, float]:
+    """Return the quantities [SI] of a slider-crank by their names, as seen along its guide from the crank pivot."""
+    crank, coupler, _ = (each[0] for each in _vectors(pair))
+    joint, values, sense = crank + coupler, task.design({}), loop.guide.direction
+    turned = values[sense] if isinstance(sense, str) else sense  # crank angles of such a linkage count from the x axis
+    values |= dict(zip(loop.names, (abs(crank), abs(coupler), joint.imag), strict=True))
+    values[task.start_name] = float(np.angle(crank)) + turned - float(task.law.offsets[0])
+    values[task.base_name] = joint.real - float(_rises(task, *TRIALS[0])[0])
+    return {name: _within(task, name, value) for name, value in values.items()}
+
+
+def _values(task: DesignProblem, pair: FourBarSolution) -> dict[str, float]:
+    """Return the quantities [SI] of a four-bar by their names; those of a law have the frame of the file."""
+    loop, linkage = task.four_bar, task.linkage
+    if loop is None:
+        slides = slider_crank(linkage)
+        assert slides is not None
+        return _slide_values(task, pair, slides)
+    crank, coupler, rocker = (each[0] for each in _vectors(pair))
+    pivot, far = (_joint(dyad.pivot) for dyad in (pair.crank, pair.follower))
+    size = float(loop.frame(task.design({}))[0]) if task.law_given else 1.0
+    named: dict[object, float] = dict(zip(loop.names, (size * abs(each) for each in (crank, coupler, rocker)), strict=True))
+    for place, at in zip(loop.pivots, (pivot, far), strict=True):
+        if isinstance(place, Arm):
+            named |= {place.length: abs(far - pivot), place.direction: float(np.angle(far - pivot))}
+        elif not task.law_given:
+            named |= {place[0]: at.real, place[1]: at.imag}
+    if loop.frame_length:
+        named[loop.frame_length] = size * abs(far - pivot)
+    datum = named[linkage.datum] if isinstance(linkage.datum, str) else linkage.datum
+    backwards = loop.coupler.start != loop.pin
+    mark = linkage.marks.get((loop.coupler.body, task.point))
+    if mark is not None:
+        z = complex(pair.places[0]) - pivot - crank
+        z = ((coupler - z) if backwards else z) / coupler * abs(coupler)  # from C along C -> B, or from B along B -> C
+        named |= {mark.along: z.real, mark.across: z.imag}
+    values = {**task.design({}), **{name: value for name, value in named.items() if isinstance(name, str)}}
+    start = float(np.angle(crank)) - datum
+    if MARK in task.quantities:
+        values[MARK] = float(pair.angles[0] - np.angle(-coupler if backwards else coupler))
+    if START in task.quantities and task.data.offsets is not None:
+        values[START] = start - float(task.data.offsets[0])
+    if task.law_given:
+        rise = _rises(task, *TRIALS[0])
+        values[task.start_name] = start - float(task.law.offsets[0])
+        values[task.base_name] = float(np.angle(-rocker)) - float(rise[0])
+    return {name: _within(task, name, value) for name, value in values.items()}
+
+
+def _within(task: DesignProblem, name: str, value: float) -> float:
+    """Return a value, of a periodic angle the one within its bounds."""
+    quantity = task.quantities.get(name)
+    if quantity is None or quantity.kind != "angle" or not task.is_periodic(name):
+        return value
+    low, high = quantity.bounds if quantity.free else (quantity.value - math.pi, quantity.value + math.pi)
+    middle = 0.5 * (low + high)
+    return middle + math.remainder(value - middle, TURN)
