@@ -187,7 +187,9 @@ def picture(result: Document, name: str) -> Figure:
     if name not in known:
         raise UnknownName(f"this {result.kind} has no picture {name}", nearest(str(name), known), key="name", value=name)
     if (drawn := known[name]()) is None:
-        raise InputError("there is no such picture of this result", f"Plot one of: {', '.join(known)}")
+        raise InputError(
+            "there is no such picture of this result", f"Plot one of: {', '.join(other for other in known if other != name)}"
+        )
     return drawn
 
 

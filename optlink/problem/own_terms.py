@@ -14,7 +14,7 @@ from optlink.io import register
 from optlink.linkage.vector2d import Value
 from optlink.problem.arguments import typed
 from optlink.problem.terms import Measure, QuantityType
-from optlink.units import KINDS, kind_of_unit
+from optlink.units import KINDS, kind_of_unit, measures
 
 Formula: TypeAlias = Callable[..., Value]
 """Function of a machine at one position, and of its reactions if it takes two arguments: a value [SI], elementwise."""
@@ -82,15 +82,15 @@ def objective(*, unit: str = "", measure: Measure = "peak") -> Callable[[Formula
 
 
 @typed
-def limit(*, unit: str = "", max: float | None = None, min: float | None = None) -> Callable[[Formula], OwnTerm]:
+def limit(*, unit: str = "", max: float | str | None = None, min: float | str | None = None) -> Callable[[Formula], OwnTerm]:
     """Make a function a limit over the cycle: a decorator for a cell or a script.
 
     Parameters
     ----------
     unit : str, optional
         Unit of `max` or `min`; the function returns SI. Default: a plain number.
-    max, min : float, optional
-        Bound of its largest or of its least value, in that unit; one of them.
+    max, min : float or str, optional
+        Bound of its largest or of its least value, in that unit, or with its own one, such as "30 mm"; one of them.
 
     Returns
     -------
@@ -114,13 +114,13 @@ def limit(*, unit: str = "", max: float | None = None, min: float | None = None)
     if len(bounds) != 1:
         raise InputError("a limit has one bound", "Give max or min; for both decorate two functions", key="max, min")
     (side, value), measure = *bounds.items(), "largest" if max is not None else "least"
-    if not math.isfinite(value):
-        raise InputError("a bound is a finite number", "Give one such as 45", key=side, value=f"{value:g}")
-    kind = _kind(unit)
+    kind, bound = _kind(unit), value if isinstance(value, str) else f"{value!r} {unit}" if unit else value
+    if not (measures(bound, kind) if isinstance(bound, str) else math.isfinite(bound)):
+        remedy = f'Give a number in {unit}, or a text with its unit, such as "45 {unit}"' if unit else "Give one such as 45"
+        raise InputError("not a finite value of this kind", remedy, key=side, value=value)
 
     def decorated(formula: Formula) -> OwnTerm:
         name = _registered(formula, kind)
-        bound = f"{value!r} {unit}" if unit else value
         return OwnTerm(formula, {f"limits.{formula.__name__}": {"quantity": name, "measure": measure, side: bound}})
 
     return decorated

@@ -48,7 +48,7 @@ _PRODUCT = (
 )
 """The beginning of a unit, and of one that is a product or power."""
 _NAMES = ["\u00b0", "\u00ba", "\u00b5m", "\u03bcm", "Nm", "kNm", "Nmm", *re.findall(r"[A-Za-z_]+", " ".join(DEFINITIONS))]
-RANGE = r"^\s*[<>\u2264\u2265]|\.\.|\u2026"
+RANGE = r"^\s*[<>\u2264\u2265]|\.\.|\u2026|\u00b1|\+/?[-\u2010\u2011\u2013\u2212]"
 PERCENT: Form = {"type": "string", "pattern": rf"^\s*{_NUMBER}\s*%\s*$"}
 NUMBER: Form = {"type": "number"}
 TEXT: Form = {"type": "string"}

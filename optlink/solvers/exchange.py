@@ -168,16 +168,21 @@ def rank(solution: Solution) -> tuple[bool, bool, float]:
     return not solution.usable, solution.status is not Status.OPTIMAL, solution.objective
 
 
+def integral_error(solution: Solution) -> float:
+    """Return the largest relative error of the integrals of a solution, as far as twice as many positions tell."""
+    nlp, terms = solution.nlp, solution.nlp.terms
+    if terms is None or not terms.integral:
+        return 0.0
+    return float(terms.integral_error(nlp.given | solution.design, solution.x[nlp.first_event : nlp.first_level]))
+
+
 def with_accurate_integrals(solution: Solution, method: str, programme: Callable[[TermCourse], NLP]) -> Solution:
     """Return an optimum with so many positions that its integrals are accurate.
 
     `programme` returns the one of a course with more positions, `method` searches from the optimum there.
     """
-    while solution.usable and solution.nlp.terms is not None and solution.nlp.terms.integral:
+    while solution.usable and integral_error(solution) > INTEGRAL_TOLERANCE and solution.nlp.terms.count < MOST_NODES:
         nlp, terms = solution.nlp, solution.nlp.terms
-        error = terms.integral_error(nlp.given | solution.design, solution.x[nlp.first_event : nlp.first_level])
-        if error <= INTEGRAL_TOLERANCE or terms.count >= MOST_NODES:
-            break
         more = programme(TermCourse(terms.problem, solution.design, terms.trace, terms.structure, 2 * terms.count))
         values = {v.name: v.value(float(y)) for v, y in zip(nlp.variables, solution.x, strict=True)}
         start = local.solution_at(more, more.x_of(values), solution.message)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from optlink.errors import InputError
 from optlink.linkage.vector2d import Array
 from optlink.synthesis.certificate import certificate
 from optlink.synthesis.homotopy import Complex, Problem, Roots, track
@@ -50,6 +51,10 @@ def four_bars(places: Sequence[complex] | Complex, angles: Sequence[float] | Arr
     size = float(np.sqrt(np.mean(np.abs(z[1:] - z[0]) ** 2)))
     d = (z[1:] - z[0]) / size
     problem = Problem(d, np.conj(d), _less_one(angle[1:] - angle[0]))
+    if problem.kind not in COUNTS:
+        message = f"{problem.kind[0]} poses and {problem.kind[1]} points do not determine finitely many four-bars"
+        remedy = "Give 6 points, the angles at 4 of them; or 7 and 3, 8 and 2, or 9 and 1"
+        raise InputError(message, remedy, key="angles")
     expected, rng = COUNTS[problem.kind], np.random.default_rng([*problem.kind, seed])
     found: Roots | None = None
     radii, real = np.zeros(0), np.zeros(0, bool)

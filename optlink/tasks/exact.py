@@ -87,8 +87,10 @@ def exact(problem: AnyProblem) -> SynthesisResult:
     kinds = ((FourTargets, of_two_dyads), (NinePoints, nine_points), (FiveTargets, applies))
     kind = next((kind for kind, suits in kinds if suits(task)), None)
     if kind is None:
-        message = "only five poses, timed points or points of a function, and nine points, have finitely many exact solutions"
-        remedy = "Give as many, all dimensions and the start of the timing free; or leave out --all and requirement.exact"
+        message = (
+            "only four or five poses, five timed points or points of a function, and nine points have listed exact solutions"
+        )
+        remedy = "Give as many targets, with all dimensions and the start of the timing free; or ask for no exact solutions alone"
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()
     targets = kind(problem.variants())

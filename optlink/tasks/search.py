@@ -31,6 +31,7 @@ from optlink.solvers.exchange import (
     OrderedStarts,
     at_edge,
     best_slow_stroke,
+    integral_error,
     misfit,
     orders_beside,
     place_at_peaks,
@@ -76,6 +77,7 @@ MOST_IN_ORDER = 0.5  # share of starts that end in order from which the order do
 SAME_COST = 1e-4  # relative difference of equal costs of candidates
 ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
 MOST_PROGRAMMES = 24  # programmes that are kept: assembly modes, directions of the crank, orders of ends of strokes
+KINKED, LEAST_ACCURACY = 4.0, 1e-3  # factor on the change of integrals by twice as many positions, and their accuracy at least
 SLACK = 1e-3  # share of the breadth of an output that counts as unused
 # Designs from those of a four-bar:
 STARTS = 12  # per design of the four-bar and combination of assembly modes
@@ -490,7 +492,9 @@ def validated_design(file: ProblemFile, solution: Solution) -> LinkageDesign:
         from optlink.validation.cycle import cycle_of
 
         cycle = cycle_of(file.spec, values)
-    checked = with_optimality(validate(file.spec, values, angles, solution.objective, cycle=cycle), solution)
+    accuracy = min(KINKED * integral_error(solution), LEAST_ACCURACY) if solution.usable else 0.0
+    checked = validate(file.spec, values, angles, solution.objective, cycle=cycle, accuracy=accuracy)
+    checked = with_optimality(checked, solution)
     if solution.nlp.exchange_count:  # a programme with the positions of this solution
         nlp = solution.nlp.copy()
         nlp.p[1:] = solution.p[1:]

@@ -218,19 +218,19 @@ def length_check(lengths: Iterable[tuple[ArrayLike, ArrayLike, ArrayLike]], size
 
 
 def same_objective(
-    measured: ArrayLike, claimed: ArrayLike, least: float, rounding: float = 0.0, *, squared: bool = False
+    measured: ArrayLike, claimed: ArrayLike, least: float, rounding: float = 0.0, *, squared: bool = False, same: float = SAME
 ) -> Checks:
     """Check that the measured objective is that of the optimiser: relatively, or within rounding of a deviation of nearly zero.
 
     `least`: objective to which differences of smaller ones are related. `rounding`: difference of two deviations that counts as
-    rounding. `squared`: the objective is a sum of squared deviations.
+    rounding. `squared`: the objective is a sum of squared deviations. `same`: relative difference of equal objectives.
     """
     measured, claimed = np.asarray(measured, dtype=float), np.asarray(claimed, dtype=float)
     gap = np.abs(measured - claimed) / np.maximum(np.abs(measured), least)
     error, other = (np.sqrt(np.maximum(one, 0.0)) if squared else one for one in (measured, claimed))
     difference = np.abs(error - other)
-    near, tiny = gap <= SAME, difference <= rounding  # NaN is neither
-    limit = text("{}", np.where(near | ~tiny, "<= 1e-06", f"<= {rounding:.0e}"))
+    near, tiny = gap <= same, difference <= rounding  # NaN is neither
+    limit = text("{}", np.where(near | ~tiny, f"<= {same:.0e}", f"<= {rounding:.0e}"))
     return Checks(MEASURED, near | tiny, np.where(near | ~tiny, gap, difference), limit, "")
 
 

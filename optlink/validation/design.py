@@ -77,6 +77,7 @@ def validate(
     objective: float | None = None,
     mechanism: Mechanism | None = None,
     cycle: Cycle | None = None,
+    accuracy: float = 0.0,
 ) -> Validation:
     """Validate a design, or show where it fails.
 
@@ -94,6 +95,8 @@ def validate(
         Tested instead of the linkage of the problem; its bodies and joints must have the same names.
     cycle : Cycle, optional
         The machine in motion, with what was measured of it already.
+    accuracy : float
+        Of integrals in the objective of the optimiser, relative; integrands with kinks have many positions and few digits.
     """
     if not problem.composed:
         return validate_batch(problem, design, angles, objective, mechanism).of()
@@ -112,7 +115,7 @@ def validate(
             checks += [check for item in problem.bounds for check in _bound(cycle, item)]
         total, least = total + cycle.objective(), max(least, cycle.natural())
     if objective is not None:
-        checks.append(same_objective(total, objective, least).of())
+        checks.append(same_objective(total, objective, least, same=max(SAME, accuracy)).of())
     return Validation(tuple(checks), total)
 
 

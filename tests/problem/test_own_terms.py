@@ -99,3 +99,32 @@ def test_a_function_that_fails_is_named_with_its_line(function, words):
     term = optlink.objective(measure="rms")(function)
     with pytest.raises(InputError, match=words):
         optlink.solve(optlink.load("shaper-design", term.changes), starts=1)
+
+
+def test_an_integrand_with_kinks_is_measured_to_its_own_accuracy():
+    """Sums over evenly spaced positions have few digits there; the trapezoidal rule with many more is the oracle."""
+
+    @optlink.objective(unit="W", measure="mean")
+    def friction_loss(machine, reactions):
+        return 0.05 * abs(reactions.guides["G"].normal) * abs(machine.slides["G"][1])
+
+    free = {
+        "mechanism.links.rod.length": {"start": "160 mm", "bounds": ["90 mm", "260 mm"]},
+        "mechanism.guides.G.through": ["0 mm", {"start": "0 mm", "bounds": ["-25 mm", "25 mm"]}],
+        "mechanism.guides.G.friction": None,
+    }
+    result = optlink.solve(optlink.read(optlink.new("pump")).override(free | friction_loss.changes))
+    assert (result.valid, result.status) == (True, optlink.Status.OPTIMAL), result.notes
+    columns = optlink.analyze(result.machine, points=20000)
+    values = 0.05 * np.abs(columns["G.normal_N"]) * np.abs(columns["piston.v_m_s"])
+    assert result.objective == pytest.approx(np.mean(values[:-1]), rel=1e-4)
+
+
+def test_a_bound_with_its_own_unit():
+    @optlink.limit(unit="mm", max="0.03 m")
+    def travel(machine):
+        return machine.slides["F"][0]
+
+    assert travel.changes["limits.travel"]["max"] == "0.03 m"
+    with pytest.raises(optlink.InputError, match=r'max = "30 deg": not a finite value .* "45 mm"'):
+        optlink.limit(unit="mm", max="30 deg")

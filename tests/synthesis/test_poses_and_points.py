@@ -5,6 +5,7 @@ import importlib.util
 import numpy as np
 import pytest
 
+from optlink.errors import InputError
 from optlink.synthesis import homotopy, poses_and_points
 from optlink.synthesis.certificate import Pair, certificate
 from optlink.synthesis.homotopy import Problem, Roots, track
@@ -181,3 +182,8 @@ def test_refinement_ends_at_the_stored_four_bars():
     problem, roots = stored(4, 2)
     again = refined(problem, roots.dyads * (1.0 + 1e-5))
     assert np.max(np.abs(again.dyads - roots.dyads)) < 1e-10
+
+
+def test_numbers_of_targets_without_finitely_many_four_bars_are_refused():
+    with pytest.raises(InputError, match=r"1 poses and 7 points .* or 9 and 1"):
+        four_bars(np.exp(1j * np.arange(8)))

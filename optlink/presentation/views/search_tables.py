@@ -277,6 +277,7 @@ def _bounds(certificate: Certificate, title: str, shown: Shown) -> ChartSpec:
 
 
 MAX_OPTIMA, MAX_VARIABLES, MOST_EXACT = 12, 6, 24  # largest numbers of optima, their design variables, and exact solutions listed
+MOST_REASONS = 2  # of one of them
 NEAREST_DESIGN = "Nearest design found (it does not meet the limits)"
 BOUNDED = " within its bounds"  # end of the names of the checks of bounds
 RELAXED_NOTE = "; <=, >=: its improvement if the bound is relaxed by that much"
@@ -531,8 +532,9 @@ def exact_solutions(outcome: SynthesisResult) -> TableSpec | None:
     names = [name for name in model.free if model.quantities[name].kind == "length"][:MAX_VARIABLES]
     for k, one in enumerate(found.solutions[:MOST_EXACT], start=1):
         sizes = [number(one.values[name] * model.display(name)[0], 4) for name in names]
-        angle = fixed(math.degrees(one.transmission), 1)
-        rows.append((str(k), *sizes, angle, Span(", ".join(one.reasons[:2])) if one.reasons else good("usable")))
+        angle, others = fixed(math.degrees(one.transmission), 1), len(one.reasons) - MOST_REASONS
+        reasons = ", ".join(one.reasons[:MOST_REASONS]) + (f" and {others} more" if others > 0 else "")
+        rows.append((str(k), *sizes, angle, Span(reasons) if one.reasons else good("usable")))
     columns = [">", *(f">{name}" for name in names), ">angle", "usable, or why not"]
     units = joined(sorted({model.display(name)[1] for name in names}))
     notes = [f"sizes in {units}; transmission angle from 0 or 180 deg: least over the motion if usable, else at the targets"]

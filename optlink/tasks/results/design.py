@@ -621,6 +621,8 @@ class SynthesisResult(Document):
         """Description of how the search ended."""
         if self.rounding is not None:
             return self.rounding.ended(self.objective if self.designs else math.nan)
+        if self.exact_solutions is not None and self.backend == NO_SEARCH:
+            return self.exact_solutions.sentence
         return message(self.status, self.certificate, self.refuted)
 
     @property
@@ -724,7 +726,9 @@ class SynthesisResult(Document):
     @property
     def status(self) -> Status:
         """Status of the search."""
-        return Status.INFEASIBLE if self.best is None else self.best.status
+        if self.best is not None:
+            return self.best.status
+        return Status.NOT_SEARCHED if self.exact_solutions is not None and self.exact_solutions.special else Status.INFEASIBLE
 
     @property
     def objective(self) -> float:
