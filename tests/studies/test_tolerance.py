@@ -505,7 +505,7 @@ def test_the_margin_design_has_the_most_standard_deviations(monkeypatch, name, l
     """More at its worst crank angle than the nominal optimum, and than those that were made for fewer or more."""
     problem, drawn = optlink.load(name), solution(name)
 
-    def known(file):
+    def known(file, **_):
         assert file.hash == problem.hash
         return drawn
 
