@@ -45,30 +45,6 @@ def test_a_short_page_fills_at_most_two_sheets(driver, source, tmp_path):
     assert console(driver) == []
 
 
-ROOM = """
-dispatchEvent(new Event("beforeprint"));
-return [...document.querySelectorAll(".plot")].flatMap((place) => {
-  const { layout, _fullLayout: full } = place;
-  const axes = Object.keys(layout).filter((key) => key.startsWith("yaxis")).map((key) => layout[key].domain);
-  return axes.slice(1).map((domain, k) => {
-    const legend = place.querySelector(`.legend${k + 2}`);
-    return [full._size.h * (axes[k][0] - domain[1]), legend ? legend.getBoundingClientRect().height : 0];
-  });
-});
-"""
-
-
-def test_a_printed_legend_covers_no_curve_above_it(driver, tmp_path):
-    place = tmp_path / "page.html"
-    (stored,) = (str(path) for path in RECORDED if path.stem == "design-machine" and path.parent.name == "4")
-    place.write_text(short(stored), encoding="utf-8")
-    assert opened(driver, place) == ([], [])
-    gaps = driver.execute_script(ROOM)
-    driver.execute_script('dispatchEvent(new Event("afterprint"))')
-    assert any(height > 0.0 for _, height in gaps), gaps
-    assert all(gap >= height for gap, height in gaps)
-
-
 def test_paper_shows_positions_in_place_of_the_motion(driver, tmp_path):
     place = tmp_path / "page.html"
     write_page(page_content("crank-rocker", {}), place, brief=True)
