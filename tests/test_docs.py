@@ -357,7 +357,7 @@ def test_the_file_of_the_guide_from_other_programs_has_the_figures_that_it_state
 
 def test_the_page_of_builders_has_the_optima_of_independent_formulas():
     page = (DOCS / "builders.md").read_text(encoding="utf-8")
-    assert len(SHOWN) == page.count("```python") == 9
+    assert len(SHOWN) == page.count("```python") == 10
     assert sum("coupler 412.865 mm rocker 232.246 mm" in shown for _, shown in SHOWN) == 3
     shortest = shortest_pair()
     assert f"coupler {1e3 * shortest[0]:.3f} mm rocker {1e3 * shortest[1]:.3f} mm" in page
