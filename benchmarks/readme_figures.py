@@ -512,6 +512,7 @@ LONG = {
 PLACEHOLDERS = {
     "optlink balance mine.toml --design result.json",
     'optlink new --from "https://app.pmksplus.com/?2P.Ay..." --out mine.toml',
+    "optlink new --from walker.linkage2 --out walker.toml",
 }
 """Commands with files of the reader."""
 

@@ -79,10 +79,10 @@ class FourTargets(FiveTargets):
         count, curve = inside.size, f"{found.count} closed curve{'s' * (found.count > 1)}"
         shares = {name: np.mean(every.defect == k) for k, name in enumerate(DEFECTS[:4]) if name}
         shares["crank does not turn"] = np.mean((every.defect == 0) & ~turning)
-        reasons = ", ".join(f"{name} {share:.0%}" for name, share in shares.items() if share >= 0.005)
+        reasons = ", ".join(f"{name} {share:z.0%}" for name, share in shares.items() if share >= 0.005)
         self.sentence = (
-            f"{curve} of dyads, of which {len(drivers) / len(rows):.0%} may drive; {np.mean(passing):.1%} of {count} four-bars "
-            f"pass the poses in order (not: {reasons}), {np.mean(inside):.1%} within the bounds"
+            f"{curve} of dyads, of which {len(drivers) / len(rows):z.0%} may drive; {np.mean(passing):z.1%} of {count} four-bars "
+            f"pass the poses in order (not: {reasons}), {np.mean(inside):z.1%} within the bounds"
         )
         measure = np.where(inside, self._transmission(every), 0.0)
         wide = max(1, round(APART * len(rows)))

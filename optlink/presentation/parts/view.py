@@ -161,7 +161,7 @@ def width(text: str, height: float = TEXT) -> float:
 
 def number(value: float) -> str:
     """Format a measure [mm] to 0.01 mm."""
-    return f"{float(value):.2f}".rstrip("0").rstrip(".")
+    return f"{float(value):z.2f}".rstrip("0").rstrip(".")
 
 
 def scale_text(factor: float) -> str:
