@@ -210,4 +210,4 @@ def _read_name(raw: object) -> str:
 Name = Annotated[str, BeforeValidator(_read_name)]
 """Of a body, a point, a guide or a load."""
 Fact = Annotated[str, Field(max_length=200)]
-"""A text for people, without effect on the result."""
+"""A text that has no effect on the result."""

@@ -287,8 +287,6 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
                 raise InputError("this is a template, not a problem", remedy, key="PROBLEM", value=text)
             raise InputError("no such problem", similar_name(text, names), key="PROBLEM", value=text)
     file = shown_name(path.name if text in names else text)
-    if text in names and os.path.exists(file):  # a file of that name is not meant
-        file = f"the shipped problem {text} (not ./{file})"
     raw = _tables(_read_toml(path), file)
     changes = _with_units(raw, _without_arrays(overrides or {}), file)
     _change(raw, changes, file)

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 from optlink.problem.quantity import Quantity, Unusable, below, check_keys, check_name, check_pair, read_scalar
-from optlink.problem.tolerances import flattened, remove
+from optlink.problem.tolerances import by_name, remove
 from optlink.units import show
 
 ALL = "step"  # name of what is stated for all lengths without an own grid
@@ -156,17 +156,6 @@ def _of_teeth(raw: object, quantity: Quantity) -> Grid:
     return Grid(stock=tuple(sorted({sign * one / other for one in counts for other in counts})), teeth=(low, high))
 
 
-def _read_table(raw: object) -> dict[str, object]:
-    if not isinstance(raw, dict):
-        raise Unusable("expected a table", "Begin it with [rounding]", "", raw)
-    entries: dict[str, object] = {}
-    for name, entry in flattened(raw, KEYS):
-        if name in entries:
-            raise Unusable("a grid is given twice", "Give each once", name)
-        entries[name] = entry
-    return entries
-
-
 def with_grid(table: dict[str, Any], name: str, value: object) -> None:
     """Assign a grid in a [rounding] table, in place; None removes it."""
     remove(table, name)
@@ -174,5 +163,5 @@ def with_grid(table: dict[str, Any], name: str, value: object) -> None:
         table[name] = value
 
 
-Rounding = Annotated[dict[str, Any], BeforeValidator(_read_table)]
+Rounding = Annotated[dict[str, Any], BeforeValidator(lambda raw: by_name(raw, "rounding", KEYS))]
 """Grids as stated, by the name of the size, that of all other lengths by `step`."""

@@ -195,13 +195,21 @@ def flattened(table: Mapping[str, Any], keys: Collection[str], above: str = "") 
             yield f"{above}{key}", entry
 
 
-def _read_table(raw: object, folder: Path) -> dict[str, ToleranceEntry]:
+def by_name(raw: object, section: str, keys: Collection[str]) -> dict[str, Any]:
+    """Return the entries of a section by the names of sizes, each given once; see `flattened`."""
     if not isinstance(raw, dict):
-        raise Unusable("expected a table", "Begin it with [tolerances]", "", raw)
-    entries: dict[str, ToleranceEntry] = {}
-    for name, entry in flattened(raw, KEYS):
+        raise Unusable("expected a table", f"Begin it with [{section}]", "", raw)
+    entries: dict[str, Any] = {}
+    for name, entry in flattened(raw, keys):
         if name in entries:
-            raise Unusable("a tolerance is given twice", "Give each once", name)
+            raise Unusable("a size is given twice", "Give each once", name)
+        entries[name] = entry
+    return entries
+
+
+def _read_table(raw: object, folder: Path) -> dict[str, ToleranceEntry]:
+    entries: dict[str, ToleranceEntry] = {}
+    for name, entry in by_name(raw, "tolerances", KEYS).items():
         with below(name, entry):
             entries[name] = read_tolerance(entry, folder)
     return entries

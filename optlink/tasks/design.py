@@ -30,8 +30,7 @@ from optlink.solvers.infeasibility import Explanation, Follow, explain, feasible
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Exploration, Searcher
 from optlink.synthesis.freudenstein import FirstStep
-from optlink.tasks.five_targets import FiveTargets, applies
-from optlink.tasks.four_poses import FourTargets, applies as of_two_dyads
+from optlink.tasks.four_poses import CHEAP
 from optlink.tasks.protocol import DesignTask, Progress, Search, Timer, agreement, completed, part
 from optlink.tasks.results.common import INCOMPLETE
 from optlink.tasks.results.conflict import cannot_turn, margin_notes
@@ -393,8 +392,7 @@ class SearchRounds:
         if not self.task.parts:
             self._sampled()
             return
-        exact = (FiveTargets, applies), (FourTargets, of_two_dyads)
-        kind = next((kind for kind, suits in exact if suits(self.task)), None)
+        kind = next((kind for kind, suits in CHEAP if suits(self.task)), None)
         if begin is None and kind is not None:
             targets = kind(self.files)
             self.exact_solutions = targets.summary

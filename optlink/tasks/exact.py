@@ -15,8 +15,8 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, problem_of
 from optlink.synthesis.five_poses import FourBarSolution, link
 from optlink.synthesis.poses_and_points import four_bars
-from optlink.tasks.five_targets import FiveTargets, alone, applies, marked
-from optlink.tasks.four_poses import FourTargets, applies as of_two_dyads
+from optlink.tasks.five_targets import FiveTargets, alone, marked
+from optlink.tasks.four_poses import CHEAP
 from optlink.tasks.results.design import NO_SEARCH, SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolutions
 
@@ -84,8 +84,7 @@ def exact(problem: AnyProblem) -> SynthesisResult:
     """
     problem = problem_of(problem)
     task = problem.variants()[0].spec
-    kinds = ((FourTargets, of_two_dyads), (NinePoints, nine_points), (FiveTargets, applies))
-    kind = next((kind for kind, suits in kinds if suits(task)), None)
+    kind = next((kind for kind, suits in (*CHEAP, (NinePoints, nine_points)) if suits(task)), None)
     if kind is None:
         message = (
             "only four or five poses, five timed points or points of a function, and nine points have listed exact solutions"

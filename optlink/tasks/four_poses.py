@@ -16,7 +16,7 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.synthesis.five_poses import FourBarSolution, link
 from optlink.synthesis.four_poses import DEFECTS, POSES, DyadCurves, Pairs, curves
-from optlink.tasks.five_targets import CONDITIONS, FiveTargets
+from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, applies as of_five_targets, marked
 from optlink.tasks.results.design import SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolutions
 
@@ -36,11 +36,8 @@ def curves_of(task: DesignProblem) -> DyadCurves | None:
 
 def applies(task: DesignProblem) -> bool:
     """Return whether each four-bar of two dyads of four poses is a design of a problem, but for its bounds and limits."""
-    loop = task.four_bar
-    if loop is None or len(task.parts) != 1 or task.composed or task.robust is not None:
-        return False
-    guided = task.requirement.kind == "motion" and len(task.data.columns) == POSES and task.timing == "free"
-    return guided and (loop.coupler.body, task.point) in task.linkage.marks and len(task.free) >= CONDITIONS
+    guided = alone(task, POSES) and task.requirement.kind == "motion" and task.timing == "free"
+    return guided and marked(task) and len(task.free) >= CONDITIONS
 
 
 class FourTargets(FiveTargets):
@@ -116,6 +113,10 @@ class FourTargets(FiveTargets):
         for value, low, high in ranges:
             inside &= (value >= low - size) & (value <= high + size)
         return inside
+
+
+CHEAP = ((FiveTargets, of_five_targets), (FourTargets, applies))
+"""Exact solutions with which a search begins, and which problems have them."""
 
 
 @typed
