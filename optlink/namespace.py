@@ -1,48 +1,52 @@
-"""Namespaces of the Python interface: the stub beside each, `__init__.pyi`, lists its names, which are imported at first use."""
+"""Namespaces of the Python interface: each lists its names with their modules, and imports a name at first use."""
 
 import importlib
-import re
 import sys
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 
-def namespace(name: str, file: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
-    """Return `__all__`, `__getattr__` and `__dir__` of a package.
-
-    Its stub declares former names as deprecated; they are still found, with a DeprecationWarning that names the successor.
+def namespace(name: str, names: str, moved: str = "") -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__all__`, `__getattr__` and `__dir__` of a package; its stub declares the same names for type checkers.
 
     Parameters
     ----------
-    name, file : str
-        `__name__` and `__file__` of the package.
+    name : str
+        `__name__` of the package.
+    names : str
+        Public names: `module: name name ...`, where the module may be the package itself, whose modules these are then.
+    moved : str
+        Former names: `successor: name name ...`. They are still found, with a DeprecationWarning that names the successor.
     """
-    text = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
-    moved: dict[str, str] = dict(re.findall(r'^@deprecated\("\S+\.(\w+) is now (\S+)"\)$', text, re.MULTILINE))
-    homes: dict[str, tuple[str, str]] = {}
-    for module, names in re.findall(r"^from (\S+) import (\([^)]*\)|.*)$", text, re.MULTILINE):
-        homes |= {shown: (module, own) for own, shown in re.findall(r"(\w+) as (\w+)", names)}
+    homes, successors = by_name(names), by_name(moved)
 
     def attribute(wanted: str) -> Any:
-        package = sys.modules[name]
-        if wanted in homes:
-            module, own = homes[wanted]
-            return importlib.import_module(f"{name}.{own}") if module == name else getattr(importlib.import_module(module), own)
-        if (successor := moved.get(wanted)) is not None:
+        if (module := homes.get(wanted)) is not None:
+            if module == name:
+                return importlib.import_module(f"{name}.{wanted}")
+            return getattr(importlib.import_module(module), wanted)
+        if (successor := successors.get(wanted)) is not None:
             warnings.warn(f"{name}.{wanted} is now {successor}", DeprecationWarning, stacklevel=2)
             home, _, own = successor.rpartition(".")
             return getattr(importlib.import_module(home), own)
-        wanted_there = re.compile(rf"\bas {re.escape(wanted)}\b")
-        inner = () if wanted.startswith("_") else sorted(Path(file).parent.glob("*/__init__.pyi"))
-        homes_within = [
-            f"{name}.{stub.parent.name}.{wanted}" for stub in inner if wanted_there.search(stub.read_text(encoding="utf-8"))
-        ]
-        hint = f". It is {' or '.join(homes_within)}" if homes_within else ""
-        raise AttributeError(f"module {name!r} has no attribute {wanted!r}{hint}", name=wanted, obj=package)
+        inner = () if wanted.startswith("_") else sorted(own for own, module in homes.items() if module == name)
+        found = [f"{name}.{own}.{wanted}" for own in inner if wanted in importlib.import_module(f"{name}.{own}").__all__]
+        hint = f". It is {' or '.join(found)}" if found else ""
+        raise AttributeError(f"module {name!r} has no attribute {wanted!r}{hint}", name=wanted, obj=sys.modules[name])
 
     def listed() -> list[str]:
         return sorted({*homes, *(own for own in vars(sys.modules[name]) if own.startswith("__"))})
 
     return sorted(homes), attribute, listed
+
+
+def by_name(table: str) -> dict[str, str]:
+    """Return what stands before the colon, by each of the names behind it."""
+    found, home = {}, ""
+    for word in table.split():
+        if word.endswith(":"):
+            home = word.removesuffix(":")
+        else:
+            found[word] = home
+    return found

@@ -1,18 +1,22 @@
 """The names that a program may rely on: one is added in one line, and none disappears without a deprecation."""
 
+import ast
 import importlib
 import inspect
 import json
+import os
 import re
+import subprocess
+import sys
 import types
 import warnings
+import zipfile
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import optlink
-from optlink.namespace import namespace
+from optlink.namespace import by_name
 
 PUBLIC = {
     "optlink": """
@@ -54,7 +58,7 @@ PUBLIC = {
         Disagreement check_derivatives check_forces check_motion check_optimum check_prices check_stored
     """,
 }
-"""Public names by namespace. One that goes stays in the stub, deprecated, for as long as docs/stability.md states."""
+"""Public names by namespace. One that goes stays, deprecated, for as long as docs/stability.md states."""
 TYPES = ("AnyProblem", "Course", "Former", "Joint", "Number", "Signal", "Value", "Vector")
 """Names for types, which have no docstring of their own."""
 DEPRECATED = {
@@ -145,15 +149,33 @@ def test_a_deprecated_name_works_and_names_its_successor(name: str) -> None:
     assert name not in dir(optlink)
 
 
-def test_the_stub_declares_the_deprecated_names() -> None:
-    stub = Path(str(optlink.__file__)).with_suffix(".pyi").read_text(encoding="utf-8")
-    declared = re.findall(r'^@deprecated\("optlink\.(\w+) is now (\S+)"\)\n(?:def|class) (\w+)\(', stub, re.MULTILINE)
-    assert {name: successor for name, successor, _ in declared} == DEPRECATED
-    assert all(name == shown for name, _, shown in declared)
-    assert stub.count("@deprecated") == len(DEPRECATED)
+@pytest.mark.parametrize("package", [one for one in PACKAGES if Path(str(one.__file__)).with_suffix(".pyi").exists()], ids=str)
+def test_the_stub_declares_the_same_names(package: types.ModuleType) -> None:
+    """Type checkers read the stub: the names, their modules and the deprecated names are those of the package."""
+    stub = ast.parse(Path(str(package.__file__)).with_suffix(".pyi").read_text(encoding="utf-8"))
+    shown = {
+        own.asname: node.module for node in stub.body if isinstance(node, ast.ImportFrom) for own in node.names if own.asname
+    }
+    assert shown == declared(package)
+    former = [ast.unparse(node.decorator_list[0]) for node in stub.body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+    deprecated = DEPRECATED if package is optlink else {}
+    assert sorted(former) == sorted(f"deprecated('optlink.{name} is now {place}')" for name, place in deprecated.items())
+    assert {node.name for node in stub.body if isinstance(node, ast.FunctionDef | ast.ClassDef)} == deprecated.keys()
 
 
-def test_a_namespace_reads_its_stub(tmp_path: Path) -> None:
-    (tmp_path / "__init__.pyi").write_text("from math import (\n    pi as pi,\n    tau as turn,\n)\nfrom math import e as e\n")
-    listed, get, _ = namespace("optlink", str(tmp_path / "__init__.py"))
-    assert (listed, get("turn")) == (["e", "pi", "turn"], 2 * np.pi)
+def declared(package: types.ModuleType) -> dict[str, str]:
+    """Modules by public name, from the table that the package gives to `namespace`."""
+    module = ast.parse(Path(str(package.__file__)).read_text(encoding="utf-8"))
+    (call,) = (node for node in ast.walk(module) if isinstance(node, ast.Call))
+    found: dict[str, str] = by_name(ast.literal_eval(call.args[1]))
+    return found
+
+
+def test_a_package_in_an_archive_has_its_names(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "optlink.zip", "w") as archive:
+        for name in ("__init__", "namespace", "version", "errors"):
+            archive.write(ROOT / "optlink" / f"{name}.py", f"optlink/{name}.py")
+    code = "import optlink; print(optlink.__file__, optlink.InputError.__name__)"
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "optlink.zip")}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [str(tmp_path / "optlink.zip" / "optlink" / "__init__.py"), "InputError"]

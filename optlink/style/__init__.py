@@ -2,4 +2,9 @@
 
 from optlink.namespace import namespace
 
-__all__, __getattr__, __dir__ = namespace(__name__, __file__)
+__all__, __getattr__, __dir__ = namespace(
+    __name__,
+    """
+    optlink.presentation.style: BODIES COUPLER CRANK GROUND LIMIT MUTED RESULT ROCKER SHADE STYLE TARGET
+    """,
+)
