@@ -61,6 +61,9 @@ UNSUPPORTED = {
 
 
 WRITTEN = {
+    r"requirements?\.(\d+\.)?(body|link|slider?|guide)": (
+        'Write output = "rocker" for what follows, keeps or sweeps a value; a path or a motion has point = "P"'
+    ),
     r"drive\.(end|stop|to|until|limits?|min|max|travel|swing)": 'Write range = ["15 deg", "60 deg"]',
     r"((mechanism|loads)\.)?(\w+\.)?(stops?|bumpers?|end_?stops?)": (
         'Write in [drive] range = ["0 deg", "90 deg"], torque = "0 N*m" for a body that moves freely, '

@@ -263,6 +263,7 @@ class Assembly:
             options = f'{joint} = "left of {p}-{q}" or "right of {p}-{q}"'
         else:
             options = f'{joint} = "forward" or "backward", along the guide {guide.name}'
+        options += f'; in a design problem also "{EITHER}"'
         if joint not in self.modes:
             raise StructureError(
                 "the group with this joint can be assembled in two ways, and the file does not state which",

@@ -5,6 +5,7 @@ import math
 import pytest
 
 import optlink
+from optlink.presentation.views import design_tables
 from optlink.tasks import search
 
 
@@ -30,3 +31,5 @@ def test_the_nearest_design_is_one_that_can_be_assembled_beyond_the_bounds():
     values = result.nearest.values
     assert math.isfinite(result.objective)
     assert values["coupler"] + values["rocker"] >= values["crank"] + values["frame"]
+    told = str(design_tables.design_result(result))
+    assert f"free, 20 ... 50: {1e3 * values['coupler'] - 50.0:.4g} mm beyond" in told

@@ -14,6 +14,7 @@ from optlink.presentation.format import change, dimension, figure, fixed, number
 from optlink.presentation.table_spec import Line, Row, Summary, TableSpec, bad, good, noted, quiet, strong, summary, table
 from optlink.presentation.views.search_tables import (
     NEAREST_DESIGN,
+    allowed,
     certificate_lines,
     certificate_table,
     certified,
@@ -379,8 +380,7 @@ def _compared_sizes(outcome: SynthesisResult, design: LinkageDesign) -> TableSpe
     for name in (*design.whole.free, *design.whole.links):
         quantity = design.whole.quantities[name]
         size, unit = quantity.display
-        low, high = (bound * size for bound in quantity.bounds)
-        within = f"{low:g} ... {high:g}" if quantity.low is not None else ""
+        within = allowed(quantity, design.values[name])
         bounds = quiet(within if quantity.free else ", ".join(filter(None, [quantity.status, within])))
         value, initial = (dimension(one * size) for one in (design.values[name], quantity.value))
         rows.append((name, strong(value), unit, initial, bounds))

@@ -56,6 +56,7 @@ from optlink.validation.check import requirements
 
 if TYPE_CHECKING:
     from optlink.problem.machine.model import Problem
+    from optlink.problem.quantity import Quantity
     from optlink.tasks.results.design import SynthesisResult
 
 
@@ -409,14 +410,20 @@ def dimension_rows(model: Problem, values: Mapping[str, float], derived: Mapping
     rows: list[Row] = []
     for name, value in values.items():
         (factor, unit), quantity = model.display(name), model.quantities.get(name)
-        shown, remark = (dimension if unit == "deg" else significant)(value * factor), ""
-        if quantity is None:
-            remark = derived[name]
-        else:
-            low, high = (bound * factor for bound in quantity.bounds)
-            remark = quantity.status + f", {low:g} ... {high:g}" * (quantity.low is not None)
+        shown = (dimension if unit == "deg" else significant)(value * factor)
+        remark = derived[name] if quantity is None else ", ".join(filter(None, (quantity.status, allowed(quantity, value))))
         rows.append((name, strong(shown) if quantity is not None and quantity.free else shown, unit, quiet(remark)))
     return rows
+
+
+def allowed(quantity: Quantity, value: float) -> str:
+    """Return the bounds of a quantity, and how far a value [SI] lies beyond them; nothing if the file states none."""
+    if quantity.low is None:
+        return ""
+    (size, unit), (low, high) = quantity.display, quantity.bounds
+    beyond = max(low - value, value - high)
+    passed = f": {beyond * size:.4g} {unit} beyond" if beyond > 1e-6 * max(abs(low), abs(high)) else ""
+    return f"{low * size:g} ... {high * size:g}{passed}"
 
 
 def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Part:
