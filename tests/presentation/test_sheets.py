@@ -14,10 +14,13 @@ import pytest
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 
+import optlink
 from optlink.errors import InputError
 from optlink.presentation.export.export import export
 from optlink.presentation.parts import sheet
 from optlink.presentation.parts.model import part_set
+from optlink.presentation.report_model import ReportModel, report_model_of
+from optlink.problem.file import fixed_design
 from tests.presentation.test_parts import holes_of, of, written
 from tests.tiers import mostly_slow
 
@@ -235,6 +238,55 @@ def test_what_the_file_states_is_printed(tmp_path):
     bare = {word for page in pages(written(of("crank-rocker"), tmp_path / "b.dxf", content="sheet")) for word in page.words}
     assert {"2× Ø20", "t = 10"} <= bare
     assert not {"Material", "H7"} & bare
+
+
+def rounded(name: str) -> ReportModel:
+    """The machine of a shipped problem whose lengths are multiples of 0.1 mm."""
+    file = optlink.load(name)
+    sizes = {
+        key: round(one.value, 4) if one.kind == "length" else one.value for key, one in file.model.mechanism.quantities.items()
+    }
+    cycle = optlink.analyze(fixed_design(next(iter(file.variants())), sizes))
+    return ReportModel(cycle.problem, cycle, cycle)
+
+
+def lengths_of(about: ReportModel) -> list[str]:
+    """The lengths and coordinates of a design; not where the slide of a guide begins and what no link is joined to."""
+    machine = about.cycle.machine
+    counted = {size for guide in machine.mechanism.guides if not isinstance(guide.through, str) for size in guide.through}
+    counted |= {f"{name}.{axis}" for name in machine.mechanism.ground if name not in machine.mechanism.pins for axis in "xy"}
+    kinds = {name: one.kind for name, one in about.problem.model.mechanism.quantities.items()}
+    sizes = [value for name, value in machine.sizes.items() if kinds[name] in ("length", "coordinate") and name not in counted]
+    return [f"{1e3 * value:z.2f}".rstrip("0").rstrip(".") for value in sizes if abs(value) > 1e-9]
+
+
+ROUNDED = sorted({*MACHINES, *UNSTACKED, "path-watt-leg", "path-within-torque", "path-slider-egg", "press-toggle"})
+
+
+@pytest.mark.parametrize("name", mostly_slow(ROUNDED, "watt-i", "path-within-torque", "path-slider-egg"))
+def test_rounded_sizes_are_printed(name, tmp_path):
+    """Every length of the design is a dimension, or a coordinate of a pivot in the words below the frame."""
+    about = rounded(name)
+    check_printed(about, tmp_path)
+
+
+def check_printed(about: ReportModel, folder: Path) -> None:
+    sheets = pages(written(about, folder / "a.dxf", content="sheet"))
+    printed = {text.partition(" ")[0] for page in sheets for text, _ in page.dimensions}
+    words = " ".join(word for page in sheets for word in page.words if word.startswith("x, y in the problem"))
+    printed |= {*re.findall(r"-?[\d.]*\d", words)}
+    wanted = lengths_of(about)
+    assert len(wanted) > 1
+    assert [text for text in wanted if text not in printed and text.lstrip("-") not in printed] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["path-arc5", "path-slider-egg"])
+def test_sizes_of_a_rounded_optimum_are_printed(name, tmp_path):
+    about = report_model_of(optlink.solve(optlink.load(name, {"rounding.step": "0.1 mm"})))
+    assert about.valid
+    assert all(len(text.partition(".")[2]) < 2 for text in lengths_of(about))
+    check_printed(about, tmp_path)
 
 
 def test_a_design_that_is_not_valid_says_so(tmp_path, monkeypatch):

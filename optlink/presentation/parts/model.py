@@ -6,14 +6,14 @@ other sliding body runs with two pins in the slot.
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from optlink.errors import InputError
-from optlink.linkage.mechanism import FRAME, Guide, Mechanism
+from optlink.linkage.mechanism import FRAME, Arm, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.export.dxf import HOLE, MAX_HOLE_SHARE, WIDTH, Vertex, nearest_holes, rounded, travelled, usual_hole
@@ -51,14 +51,20 @@ class Opening:
 
 @dataclass(frozen=True, eq=False)
 class FlatPart:
-    """A link as a flat part in its own axes [mm]: its outline is half the width away from the hull of its openings and marks."""
+    """A link as a flat part in its own axes [mm]: its outline is half the width away from the hull of its openings and marks.
+
+    Its dimensions begin at the point `origin` (2,), and go along and across the unit vector `along` (2,).
+    """
 
     name: str
     openings: tuple[Opening, ...]
     marks: Mapping[str, Array]
     width: float
     thickness: float
-    material: str = ""
+    material: str
+    origin: Array
+    along: Array
+    note: str = ""
 
     @cached_property
     def core(self) -> Array:
@@ -253,7 +259,9 @@ class _Maker:
         free = {} if body == FRAME else self.points[body]
         marks = {name: at for name, at in free.items() if name not in self.mechanism.pins}
         thickness = self._size(own.thickness if own else None, self.thickness)
-        part = FlatPart(body, openings, marks, width, thickness, (own and own.material) or self.section.material)
+        material = (own and own.material) or self.section.material
+        axes = self._frame_axes(openings) if body == FRAME else (np.zeros(2), np.array([1.0, 0.0]))
+        part = FlatPart(body, openings, marks, width, thickness, material, *axes)
         widest = max(openings, key=lambda one: one.diameter)
         if width <= widest.diameter:
             message = f"{body} is not wider than its hole at {widest.joint}, which measures {widest.diameter:.6g} mm"
@@ -268,6 +276,32 @@ class _Maker:
                 )
                 raise InputError(message, remedy, self.file, "parts.hole", f"{self.hole:.6g} mm")
         return part
+
+    def _frame_axes(self, openings: Sequence[Opening]) -> tuple[Array, Array, str]:
+        """Return origin and direction of the dimensions of the frame plate, in which they are the sizes of the problem.
+
+        What they do not show stands in a note: the coordinates of the pivots in the plane of the problem.
+        """
+        arms = [place for place in self.mechanism.ground.values() if isinstance(place, Arm)]
+        pivots = [one for one in openings if one.round]
+        slots = [one.ends[1] - one.ends[0] for one in openings if not one.round]
+        angle = 0.0
+        if arms:
+            angle = float(self.motion.pose.size(arms[0].direction))
+        elif len(pivots) == 1 and slots:
+            angle = math.atan2(slots[0][1], slots[0][0])
+        origin = (pivots or openings)[0].ends[0]
+        along = np.array([math.cos(angle), math.sin(angle)])
+        if not origin.any() and (abs(along[1]) < SAME or not arms):
+            return origin, along, ""
+        places = ", ".join(f"{one.joint} ({', '.join(map(number, one.ends[0]))})" for one in pivots)
+        turned = f"; dimensions along {number(math.degrees(angle))}°" if abs(along[1]) >= SAME else ""
+        return origin, along, f"x, y in the problem: {places}{turned}"
+
+
+def number(value: float) -> str:
+    """Format a measure [mm] to 0.01 mm."""
+    return f"{float(value):z.2f}".rstrip("0").rstrip(".")
 
 
 def local(motion: Motion, body: str, at: Array) -> Array:

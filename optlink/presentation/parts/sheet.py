@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from optlink.errors import InputError
+from optlink.linkage.mechanism import FRAME, Arm, Size
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Array
 from optlink.presentation.export.dxf import Vertex, rounded
 from optlink.presentation.parts.layers import Stacked, convex, stacked
-from optlink.presentation.parts.model import PartSet, distance, placed
+from optlink.presentation.parts.model import PartSet, distance, number, placed
 from optlink.presentation.parts.solids import polygon
 from optlink.presentation.parts.view import (
     FIRST,
@@ -27,7 +28,6 @@ from optlink.presentation.parts.view import (
     Words,
     box,
     circle,
-    number,
     part_view,
     scale_text,
     segment,
@@ -132,10 +132,10 @@ def sheets(parts: PartSet, cycle: Analysis, at: Motion, caption: str, head: Mapp
         assembly, least, lambda paper: (_above(paper, len(entries) + 1), _beside(paper)), "the assembly", parts.file
     )
     pages = [(paper, [View(first.factor, moved(_parts_list(entries), _corner(paper))), first])]
-    tolerances, views, large = dict(_tolerances(cycle)), list[View](), 0
+    tolerances, views, large = dict(_tolerances(parts, cycle)), list[View](), 0
     for k, (entry, part) in enumerate(zip(entries, parts.parts.values(), strict=False), 1):
-        remark = "   ".join(filter(None, (entry.size, entry.material)))
-        draw = functools.partial(part_view, part, f"{k}  {part.name}", remark, tolerances)
+        remarks = filter(None, ("   ".join(filter(None, (entry.size, entry.material))), part.note))
+        draw = functools.partial(part_view, part, f"{k}  {part.name}", [*remarks], tolerances)
         least = min(one.diameter for one in part.openings)
         view, paper = _fitting(draw, least, lambda paper: (_above(paper),), part.name, parts.file)
         views.append(view)
@@ -155,11 +155,20 @@ def moved(items: Iterable[Item], shift: Array) -> tuple[Item, ...]:
     return tuple(item.moved(shift) for item in items)
 
 
-def _tolerances(cycle: Analysis) -> Iterator[tuple[frozenset[str], str]]:
-    """Yield the tolerances of link lengths that the problem states, by the joints at their ends."""
-    for link, one in itertools.product(cycle.machine.mechanism.links, cycle.problem.model.deviations):
-        if one.size == link.length and one.shape != CONTACT and not one.values:
-            yield frozenset((link.start, link.end)), f" ±{number(1e3 * one.tolerance)}"
+def _tolerances(parts: PartSet, cycle: Analysis) -> Iterator[tuple[tuple[str, str, int], str]]:
+    """Yield the tolerances of lengths and coordinates that the problem states, by part, joint and axis."""
+    mechanism = cycle.machine.mechanism
+    sizes: list[tuple[str, str, Iterable[Size]]] = [(link.body, link.end, (link.length,)) for link in mechanism.links]
+    sizes += [(mark.body, mark.name, (mark.along, mark.across)) for mark in mechanism.marks.values()]
+    for name, place in mechanism.ground.items():
+        if isinstance(place, Arm):
+            sizes.append((FRAME, name, (place.length,)))
+        elif not parts.parts[FRAME].note:
+            sizes.append((FRAME, name, place))
+    for (part, joint, places), one in itertools.product(sizes, cycle.problem.model.deviations):
+        for axis, size in enumerate(places):
+            if one.size == size and one.shape != CONTACT and not one.values:
+                yield (part, joint, axis), f" ±{number(1e3 * one.tolerance)}"
 
 
 def _entries(parts: PartSet, layers: Stacked | None) -> Iterator[Entry]:

@@ -1,17 +1,17 @@
 """Views of parts on paper [mm]: lines, texts and dimensions, drawn alike in every kind of file."""
 
-import itertools
 import math
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Literal, Protocol, Self
 
 import numpy as np
 
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.export.dxf import Vertex, rounded
-from optlink.presentation.parts.model import FlatPart, Opening
+from optlink.presentation.parts.model import FlatPart, Opening, number
 from optlink.presentation.parts.solids import polygon
 
 TEXT, SMALL = 3.5, 2.5  # heights of letters
@@ -21,6 +21,7 @@ FIRST, ROW = 9.0, 7.5  # distance of the first dimension line from the outline, 
 LETTER, WIDE_LETTER = 0.9, 1.6  # widths of letters in heights
 CROSS = 2.0  # of a centre line beyond its hole
 SAME = 1e-6  # distance of coincident lines
+LYING = 1.4  # height of a part that lies on its side, in widths
 SLOPE, FAR = math.radians(60.0), 12.0  # slope of leaders, and how far they go to the side
 Style = Literal["outline", "thin", "centre", "solid"]
 
@@ -159,11 +160,6 @@ def width(text: str, height: float = TEXT) -> float:
     return height * sum(WIDE_LETTER if unicodedata.east_asian_width(letter) in "WF" else LETTER for letter in text)
 
 
-def number(value: float) -> str:
-    """Format a measure [mm] to 0.01 mm."""
-    return f"{float(value):z.2f}".rstrip("0").rstrip(".")
-
-
 def scale_text(factor: float) -> str:
     """Format a scale: millimetres on paper for one of the part."""
     return f"{factor:g}:1" if factor >= 1.0 else f"1:{1.0 / factor:g}"
@@ -192,20 +188,20 @@ def box(items: Iterable[Item]) -> Array:
 
 
 def part_view(
-    part: FlatPart, caption: str, remark: str, tolerances: Mapping[frozenset[str], str], factor: float
+    part: FlatPart, caption: str, remarks: Iterable[str], tolerances: Mapping[tuple[str, str, int], str], factor: float
 ) -> tuple[Item, ...]:
-    """Draw a part with its dimensions: distances of all holes from one of them, along its slot or its longest distance.
+    """Draw a part with its dimensions: the coordinates of all holes in its axes.
 
-    The caption, with the scale, and the remark stand below it. `tolerances` of distances, by their joints; `factor`: millimetres
-    on paper for one of the part.
+    The caption, with the scale, and the remarks stand below it. `tolerances` of coordinates by part, joint and axis; `factor`:
+    millimetres on paper for one of the part. A part that is rather higher than wide lies on its side.
     """
-    along = _direction(part)
-    holes = [one for one in part.openings if one.round] or [*part.openings]
-    datum = min(holes, key=lambda one: round(float(one.ends[0] @ along), 9))
-    turn = factor * np.array([along, [-along[1], along[0]]])
+    axes = np.array([part.along, [-part.along[1], part.along[0]]])
+    wide, high = np.ptp(part.core @ axes.T, axis=0)
+    lying = bool(high > LYING * wide)
+    turn = factor * (np.array([axes[1], -axes[0]]) if lying else axes)
 
     def paper(at: Array) -> Array:
-        return np.asarray((at - datum.ends[0]) @ turn.T)
+        return np.asarray((at - part.origin) @ turn.T)
 
     def drawn(vertices: Iterable[Vertex]) -> Line:
         corners = ((*paper(np.array([x, y])), bulge) for x, y, bulge in vertices)
@@ -219,39 +215,26 @@ def part_view(
     for _, at, radius in (*places, *marks):
         items += [replace(segment(at - arm, at + arm), style="centre") for arm in (radius + CROSS) * np.eye(2)]
     for upright in (False, True):
-        near: dict[float, tuple[str, Array]] = {}  # by distance, the point nearest to the dimension line
+        rows: dict[float, list[tuple[str, Array]]] = {}  # by distance, the points with the ends of their extension lines
         for name, at, radius in (*places, *marks):
             foot = at - (radius + CROSS + GAP) * np.eye(2)[1 - upright]
-            key = round(float(at[int(upright)]), 6)
-            if key not in near or foot[1 - upright] < near[key][1][1 - upright]:
-                near[key] = name, foot
-        start, others = near[0.0], sorted((key for key in near if abs(key) > SAME), key=abs)
-        for k, key in enumerate(others):
-            name, foot = near[key]
-            level = len({round(float(at[1 - upright]), 6) for joint, at, _ in places if joint in (name, datum.joint)}) == 1
-            tolerance = tolerances.get(frozenset((name, datum.joint)), "") if level else ""
+            rows.setdefault(round(float(at[int(upright)]), 6), []).append((name, foot))
+        near = {key: min((foot for _, foot in row), key=itemgetter(1 - upright)) for key, row in rows.items()}
+        for k, key in enumerate(sorted((key for key in rows if abs(key) > SAME), key=abs)):
+            tolerance = max(tolerances.get((part.name, name, int(upright != lying)), "") for name, _ in rows[key])
             line = float(low[1 - upright]) - FIRST - ROW * k
-            items.append(Measure(np.array([start[1], foot]), line, bool(upright), factor, tolerance))
-    if len(part.outline) == 4:  # a bar
+            items.append(Measure(np.array([near[0.0], near[key]]), line, bool(upright), factor, tolerance))
+    bar = bool(len(part.outline) == 4 and np.ptp(paper(part.core)[:, 1]) < SAME)
+    if bar:
         edge = float(high[0]) - 0.5 * factor * part.width + GAP
         ends = np.array([[edge, low[1]], [edge, high[1]]])
         items.append(Measure(ends, float(high[0]) + FIRST, True, factor))
     items += _labels(_diameters(part, paper, factor), float(high[1]) + FIRST, -1.0)
-    items += _labels([_radius(part, outline, factor)], float(high[1]) + FIRST, 1.0)
+    items += _labels([_radius(part, outline, factor, bar)], float(high[1]) + FIRST, 1.0)
     left, bottom = box(items)[0]
-    for k, text in enumerate((f"{caption}   {scale_text(factor)}", remark)):
+    for k, text in enumerate((f"{caption}   {scale_text(factor)}", *remarks)):
         items.append(Words(text, np.array([left, bottom - FIRST - 2.0 * TEXT * k]), align="left"))
     return tuple(items)
-
-
-def _direction(part: FlatPart) -> Array:
-    """Return the unit vector of a part that is horizontal on paper."""
-    slot = [one.ends for one in part.openings if not one.round]
-    pairs = slot or itertools.combinations(part.core, 2)
-    far = max((end - begin for begin, end in pairs), key=lambda way: float(np.linalg.norm(way)), default=np.array([1.0, 0.0]))
-    length = float(np.linalg.norm(far))
-    way = far / length if length > SAME else np.array([1.0, 0.0])
-    return np.asarray(-way if way[0] < -SAME or (abs(way[0]) <= SAME and way[1] < 0.0) else way)
 
 
 Label = tuple[str, Array, float]
@@ -272,8 +255,8 @@ def _diameters(part: FlatPart, paper: Callable[[Array], Array], factor: float) -
     return labels
 
 
-def _radius(part: FlatPart, outline: Line, factor: float) -> Label:
-    """Return the label of the outer arcs, at the one that faces the upper right most; of a bar their size is auxiliary."""
+def _radius(part: FlatPart, outline: Line, factor: float, bar: bool) -> Label:
+    """Return the label of the outer arcs, at the one that faces the upper right most; of a level bar their size is auxiliary."""
     radius, found = 0.5 * factor * part.width, list[tuple[float, float, Array]]()
     for (x, y, bulge), (u, v, _) in zip(outline.vertices[::2], outline.vertices[1::2], strict=True):
         turned, middle = 4.0 * math.atan(bulge), math.atan2(x - u, v - y)  # of the arc, and the direction of its middle
@@ -285,7 +268,7 @@ def _radius(part: FlatPart, outline: Line, factor: float) -> Label:
     if len(found) == 1:
         return f"Ø{number(part.width)}", found[0][2], 0.0
     size = f"R{number(0.5 * part.width)}"
-    return f"{len(found)}× {f'({size})' if len(found) == 2 else size}", min(found, key=lambda one: one[:2])[2], 0.0
+    return f"{len(found)}× {f'({size})' if bar else size}", min(found, key=lambda one: one[:2])[2], 0.0
 
 
 def _labels(labels: Sequence[Label], y: float, way: float) -> Iterator[Item]:
