@@ -107,7 +107,7 @@ def test_every_result_is_plotted(result: Document) -> None:
 
     assert result.plots
     assert isinstance(result.plot(), Axes)
-    assert isinstance(result.plot(result.plots[0]), Figure)
+    assert all(isinstance(result.plot(name), Figure) for name in result.plots)
     with pytest.raises(InputError, match=r"has no picture nothing\. Known: "):
         result.plot("nothing")
 

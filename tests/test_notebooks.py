@@ -200,3 +200,16 @@ def test_a_wrong_value_in_a_copy_is_detected() -> None:
     notebook.cells[last].source = notebook.cells[last].source.replace(right, wrong)
     with pytest.raises(CellExecutionError, match="AssertionError"):
         run(notebook)
+
+
+def test_plots_show_themselves_in_a_fresh_kernel() -> None:
+    """Once each: the value of a cell and, as with pyplot, axes that a cell keeps and changes; the settings of pyplot remain."""
+    lines = [
+        'import optlink\nresult = optlink.validate("crank-rocker", {"coupler": 0.412, "rocker": 0.232})',
+        'result.plot("law")',
+        'axes = result.plot()\naxes.set_title("mine");',
+        "from matplotlib import pyplot\npyplot.plot([0, 1]);",
+    ]
+    notebook = run(nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(line) for line in lines]))
+    shown = [sum("image/png" in output.get("data", {}) for output in cell.outputs) for cell in notebook.cells]
+    assert shown == [0, 1, 1, 1]

@@ -177,7 +177,11 @@ def figures(result: Document) -> dict[str, Callable[[], Figure | None]]:
     charts = {name: list(group) for name, group in groups}
     return {
         **{name: (lambda group=group: draw(group)) for name, group in charts.items()},  # type: ignore[misc]
-        **{name: (lambda drawing=drawing: drawing(model)) for name, drawing in view.drawings.items()},  # type: ignore[misc]
+        **{
+            name: (lambda drawing=drawing: drawing(model))  # type: ignore[misc]
+            for name, drawing in view.drawings.items()
+            if getattr(drawing, "has", lambda _: True)(model)
+        },
     }
 
 

@@ -20,7 +20,7 @@ from optlink.presentation.html.page import moving_linkage
 from optlink.presentation.labels import lay_out
 from optlink.presentation.scene import MM
 from optlink.presentation.shapes import even
-from optlink.presentation.style import HALO, figure, heading, legible, styled
+from optlink.presentation.style import HALO, apply_style, figure, heading, legible, notebook_figure, styled
 from optlink.problem.document import Document
 
 STEPS = 120  # positions per revolution of traces
@@ -80,7 +80,6 @@ def _pose(sketch: Sketch, axes: Axes, k: int) -> list[Artist]:
     return artists
 
 
-@styled
 def draw_linkage(result: Document, axes: Axes | None = None, angle: float | None = None) -> Axes:
     """Draw the linkage of a result at a crank angle [rad]; see `Document.plot`."""
     with single_units():
@@ -91,13 +90,15 @@ def draw_linkage(result: Document, axes: Axes | None = None, angle: float | None
             at = place_of(cycle, check_number("angle", angle), "angle")
         sketch = sketch.moved(sweep(machine.mechanism, machine.sizes, [at], cycle.speed))
         if axes is None:
-            fig = figure(WIDTH, min(WIDTH * sketch.ratio + 1.0, 8.0))
-            axes = fig.add_subplot()
-            title = f"{result.problem.model.title}\n{cycle.problem.model.driving.text(at)}"
-            axes.set_title("\n".join(heading(line, WIDTH) for line in title.split("\n")), fontsize=10)
-        sketch.stage(axes)
-        _pose(sketch, axes, 0)
-        legible(axes.figure)  # type: ignore[arg-type]
+            fig = notebook_figure(WIDTH, min(WIDTH * sketch.ratio + 1.0, 8.0))
+            with apply_style():
+                axes = fig.add_subplot()
+                title = f"{result.problem.model.title}\n{cycle.problem.model.driving.text(at)}"
+                axes.set_title("\n".join(heading(line, WIDTH) for line in title.split("\n")), fontsize=10)
+        with apply_style():
+            sketch.stage(axes)
+            _pose(sketch, axes, 0)
+            legible(axes.figure)  # type: ignore[arg-type]
     return axes
 
 

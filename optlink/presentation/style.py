@@ -2,8 +2,10 @@
 
 import contextlib
 import functools
+import io
 import logging
 import re
+import sys
 import textwrap
 import unicodedata
 import warnings
@@ -16,7 +18,7 @@ import numpy as np
 from matplotlib import font_manager, patheffects
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as PlainFigure
 from matplotlib.text import Text
 from numpy.typing import NDArray
 from PIL import Image
@@ -75,7 +77,7 @@ def families() -> list[str]:
     return [LATIN, *(name for name in CHINESE if name in installed)]
 
 
-def legible(figure: Figure) -> None:
+def legible(figure: PlainFigure) -> None:
     """Prepare the texts of a figure for drawing: no letter becomes a box.
 
     A text with letters that its fonts lack gets fonts that were installed since matplotlib made its list of them. Letters that no
@@ -189,6 +191,15 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
     return inside
 
 
+class Figure(PlainFigure):
+    """A figure that a notebook shows as the value of a cell, whether or not its kernel has a backend of matplotlib."""
+
+    def _repr_png_(self) -> bytes:
+        with io.BytesIO() as stream:
+            self.savefig(stream, format="png")
+            return stream.getvalue()
+
+
 def figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
     """Return an empty figure [inch] without a window; without a layout, axes stand at given places."""
     fig = Figure(figsize=(width, height), layout=layout)
@@ -196,7 +207,20 @@ def figure(width: float, height: float, layout: Literal["constrained"] | None = 
     return fig
 
 
-def panels(fig: Figure, count: int, columns: int) -> list[Axes]:
+def notebook_figure(width: float, height: float) -> Figure:
+    """Return an empty figure [inch], which IPython shows at the end of the cell, as those of pyplot.
+
+    Not within `apply_style`: pyplot selects its backend with its first figure, for good.
+    """
+    shell = sys.modules.get("IPython")
+    if shell is None or shell.get_ipython() is None:
+        return figure(width, height)
+    from matplotlib import pyplot
+
+    return pyplot.figure(figsize=(width, height), layout="constrained", FigureClass=Figure)  # type: ignore[return-value]
+
+
+def panels(fig: PlainFigure, count: int, columns: int) -> list[Axes]:
     """Return axes in rows, the last of which may be shorter."""
     grid = fig.add_gridspec(-(-count // columns), columns)
     return [fig.add_subplot(grid[divmod(k, columns)]) for k in range(count)]
@@ -211,7 +235,7 @@ def heading(text: str, width: float, size: float = 11.0) -> str:
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-def save(fig: Figure, path: Path) -> None:
+def save(fig: PlainFigure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, according to the suffix of the path; the same figure gives the same bytes."""
     with whole(path) as temporary, apply_style():
         legible(fig)

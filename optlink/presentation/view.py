@@ -92,6 +92,18 @@ def registered_charts(result: Any) -> list[ChartSpec]:
 
 
 @dataclass(frozen=True)
+class SomeDrawing:
+    """A drawing of those results for which `has` is true; a decorator as `partial(SomeDrawing, has)`."""
+
+    has: Callable[[Any], object]
+    draw: Callable[[Any], Figure | None]
+
+    def __call__(self, model: Any) -> Figure | None:
+        """Return the figure; None if the result has none."""
+        return self.draw(model) if self.has(model) else None
+
+
+@dataclass(frozen=True)
 class View:
     """How results of a kind are shown.
 

@@ -225,7 +225,7 @@ class Document(Summary):
 
     @property
     def plots(self) -> tuple[str, ...]:
-        """Names of the pictures that `plot` draws of results of this kind; this one may lack some."""
+        """Names of the pictures that `plot` draws."""
         return tuple(reports("interface").figures(self))
 
     @overload

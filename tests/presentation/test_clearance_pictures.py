@@ -142,7 +142,7 @@ def drawn(result: ClearanceSimulation) -> dict[str, Figure]:
 
 @functools.cache
 def all_pictures(name: str) -> dict[str, Figure | None]:
-    return {**drawn(simulated(name)), "mechanism": magnified_joints.mechanism(simulated(name))}
+    return {**drawn(simulated(name)), "mechanism": clearance.VIEW.drawings["mechanism"](simulated(name))}
 
 
 def picture(name: str, kind: str) -> Figure | None:

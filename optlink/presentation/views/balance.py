@@ -47,7 +47,7 @@ from optlink.presentation.table_spec import (
     table,
     verdict,
 )
-from optlink.presentation.view import PageSection, StoredStudy, View
+from optlink.presentation.view import PageSection, SomeDrawing, StoredStudy, View
 from optlink.presentation.views.search_tables import objective_line, short_text
 from optlink.problem.file import ProblemFile, fixed_design
 from optlink.problem.mechanism import sizes_of
@@ -242,7 +242,7 @@ def _picks(trade: TradeOff, places: Array) -> Picks:
     return Picks("point", what, tuple(rows), places[:, 0], places[:, 1], trade.knee or 0)
 
 
-def _mechanism(result: Balance) -> Figure | None:
+def _mechanism(result: Balance) -> Figure:
     from optlink.presentation.views.balance_drawing import mechanism
 
     return mechanism(result)
@@ -455,7 +455,7 @@ def conclusion(result: Balance) -> str:
 VIEW = View(
     overview,
     charts=charts,
-    drawings={"mechanism": _mechanism},
+    drawings={"mechanism": SomeDrawing(lambda result: result.heavier is not None, _mechanism)},
     tables=_tables,
     design=_design,
     page=page,

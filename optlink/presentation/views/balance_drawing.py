@@ -18,11 +18,10 @@ from optlink.tasks.results.balance import AddedCounterweight, Balance
 
 
 @styled
-def mechanism(result: Balance) -> Figure | None:
+def mechanism(result: Balance) -> Figure:
     """Draw the machine with its counterweights to scale: discs solid, other shapes dashed with their radius of gyration."""
-    if result.heavier is None:
-        return None
     machine = result.heavier
+    assert machine is not None
     sketch = Sketch(sweep(machine.mechanism, machine.sizes, result.angles, result.speed), machine)
     for counterweight in result.added:
         corners = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * _size(counterweight, sketch)

@@ -34,7 +34,7 @@ from optlink.presentation.chart_spec import (
 from optlink.presentation.format import Scale, fixed, number, scale, si
 from optlink.presentation.shapes import even
 from optlink.presentation.table_spec import Line, Paragraph, Summary, TableSpec, noted, quiet, summary, table, verdict
-from optlink.presentation.view import PageSection, StoredStudy, View
+from optlink.presentation.view import PageSection, SomeDrawing, StoredStudy, View
 from optlink.presentation.views import clearance_joints
 from optlink.presentation.views.revolutions import (
     FULL,
@@ -308,7 +308,7 @@ def page(result: ClearanceSimulation) -> StoredStudy:
     )
 
 
-def _mechanism(result: ClearanceSimulation) -> Figure | None:
+def _mechanism(result: ClearanceSimulation) -> Figure:
     from optlink.presentation.views.clearance_joints import mechanism
 
     return mechanism(result)
@@ -438,7 +438,7 @@ def conclusion(result: ClearanceSimulation) -> str:
 VIEW = View(
     overview,
     charts=charts,
-    drawings={"mechanism": _mechanism},
+    drawings={"mechanism": SomeDrawing(lambda result: bool(RevolutionCurves(result)), _mechanism)},
     tables=lambda result: {"play": result.columns} if result.columns else {},
     page=page,
 )

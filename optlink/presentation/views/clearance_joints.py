@@ -511,11 +511,9 @@ def _magnified_circle(at: Array, radius: float, face: Any, edge: str, width: flo
 
 
 @styled
-def mechanism(result: ClearanceSimulation) -> Figure | None:
+def mechanism(result: ClearanceSimulation) -> Figure:
     """Draw the mechanism at the largest contact force of the last revolution, with close-ups of its joints with clearance."""
     turns = RevolutionCurves(result)
-    if not turns:
-        return None
     last = np.arange(max(0, len(turns.time) - turns.points), len(turns.time))
     row = int(last[np.argmax(np.max([result[f"{gap.point}.normal_N"][last] for gap in result.gaps], axis=0))])
     sketch, count = MagnifiedMachine(turns, np.array([row])), len(result.gaps)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from optlink.presentation.drawing import Sketch
 from optlink.presentation.format import Scale, marked, position, scale
 from optlink.presentation.labels import place_labels
 from optlink.presentation.style import figure, heading, styled
+from optlink.presentation.view import SomeDrawing
 from optlink.problem.design import DesignProblem
 from optlink.problem.driving import Driving
 from optlink.problem.terms import BACK, Term
@@ -123,14 +125,13 @@ def _limits(term: Term, limits: tuple[float | None, float | None], shown: Scale,
         yield chart_spec.Line(limit * shown.factor, "" if k else "limit", LIMIT, dash="dashdot")
 
 
+@partial(SomeDrawing, lambda result: result.best and result.best.whole.of_cycle and result.best.analysis)
 @styled
-def beside_initial(result: SynthesisResult) -> Figure | None:
-    """Draw the initial machine grey and the optimal one in colour, with joint paths, where the drive exerts most.
-
-    None beside targets, and if the crank cannot turn fully.
-    """
-    if (design := result.best) is None or not design.whole.of_cycle or design.analysis is None:
-        return None
+def beside_initial(result: SynthesisResult) -> Figure:
+    """Draw the initial machine grey and the optimal one in colour, with joint paths, where the drive exerts most."""
+    design = result.best
+    assert design is not None
+    assert design.analysis is not None
     initial, optimal = design.initial_analysis, design.analysis
     at = np.array([_largest_effort(optimal)])
     sketches = [(a, Sketch(_revolution(a), a.machine)) for a in (initial, optimal) if a is not None]

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,6 +21,7 @@ from optlink.presentation.format import degrees
 from optlink.presentation.labels import Label, place_labels
 from optlink.presentation.shapes import even
 from optlink.presentation.style import figure, heading, panels, styled
+from optlink.presentation.view import SomeDrawing
 from optlink.presentation.views.design_charts import MAX_NUMBERED, CloseUp, points_on
 from optlink.presentation.views.design_tables import captions, cognate_sources, modes, transmission, words_of
 from optlink.presentation.views.design_view import LINE, SMALL, TITLE, DesignView, mechanism_title, views, wrapped
@@ -95,12 +97,17 @@ def initial_pose(axes: Axes, view: DesignView) -> list[Label]:
     return labels
 
 
+def _view(result: SynthesisResult, pointed: bool) -> DesignView | None:
+    """Return the view of the first requirement with, or without, target points."""
+    return next((view for view in views(result) if view.task.pointed == pointed), None)
+
+
+@partial(SomeDrawing, partial(_view, pointed=True))
 @styled
-def beside_curve(result: SynthesisResult) -> Figure | None:
-    """Draw the mechanism at its first target beside a close-up of its curve; None without target points."""
-    view = next((view for view in views(result) if view.task.pointed), None)
-    if view is None:
-        return None
+def beside_curve(result: SynthesisResult) -> Figure:
+    """Draw the mechanism at its first target beside a close-up of its curve."""
+    view = _view(result, True)
+    assert view is not None
     close = CloseUp(view)
     widths = [min(max(MAX_HEIGHT / ratio + LABEL_WIDTH, 3.6), 6.2) for ratio in (view.sketch.ratio, close.ratio)]
     ratios = zip(widths, (view.sketch.ratio, close.ratio), strict=True)
@@ -158,12 +165,12 @@ def _dead_centre(view: DesignView, at: float) -> str:
     return "outer dead centre" if x * u + y * v > 0.0 else "inner dead centre"
 
 
+@partial(SomeDrawing, partial(_view, pointed=False))
 @styled
-def at_positions(result: SynthesisResult) -> Figure | None:
-    """Draw the mechanism at its characteristic positions side by side, on one scale; None with target points."""
-    view = next((view for view in views(result) if not view.task.pointed), None)
-    if view is None:
-        return None
+def at_positions(result: SynthesisResult) -> Figure:
+    """Draw the mechanism at its characteristic positions side by side, on one scale."""
+    view = _view(result, False)
+    assert view is not None
     named = positions(view) or {"the reachable range begins": float(view.motion.crank_angle[0])}
     columns = 3 if len(named) > 4 else min(len(named), 2)
     rows, width = -(-len(named) // columns), 3.9 * columns
@@ -189,11 +196,10 @@ MAX_DESIGNS = 9  # largest number of designs
 SCALE_RATIO = 4.0  # designs up to this multiple of the smallest size share one scale
 
 
+@partial(SomeDrawing, lambda result: len(result.designs) > 1)
 @styled
-def designs(result: SynthesisResult) -> Figure | None:
+def designs(result: SynthesisResult) -> Figure:
     """Draw the distinct designs side by side on one scale and name their cognates."""
-    if len(result.designs) < 2:
-        return None
     related = cognate_sources(result.designs)
     tracks = [DesignView(design) for design in result.designs[:MAX_DESIGNS]]
     sizes = np.array([np.ptp(view.sketch.limits, axis=1) / view.sketch.scale.factor for view in tracks])

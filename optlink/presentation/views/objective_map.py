@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,6 +14,7 @@ from optlink.optimization.nlp import NLP
 from optlink.presentation.chart_spec import LIMIT, TARGET
 from optlink.presentation.format import dimension, pretty
 from optlink.presentation.style import figure, heading, styled
+from optlink.presentation.view import SomeDrawing
 from optlink.presentation.views.design_tables import measure
 from optlink.solvers.contract import selectable
 from optlink.solvers.solution import Solution
@@ -23,15 +25,21 @@ COLOURS = ("#e67e22", "#8e44ad", "#16a085", "#c0392b")  # of back ends, by their
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
+def _two_unknowns(result: SynthesisResult) -> bool:
+    best, solution = result.best, result.solution
+    if best is None or solution is None or len(result.problem.model.free) != 2 or best.whole.composed:
+        return False
+    return sum(variable.name not in solution.nlp.helpers for variable in solution.nlp.variables) == 2
+
+
+@partial(SomeDrawing, _two_unknowns)
 @styled
 def objective_map(result: SynthesisResult) -> Figure | None:
-    """Draw contours of the objective over two design variables; None if there are more unknowns, or fewer."""
+    """Draw contours of the objective over two design variables; None if it is nowhere positive on the grid."""
     best, solution, model = result.best, result.solution, result.problem.model
-    if best is None or solution is None or len(model.free) != 2 or best.whole.composed:
-        return None
+    assert best is not None
+    assert solution is not None
     nlp, names = solution.nlp, list(model.free)
-    if len([variable for variable in nlp.variables if variable.name not in nlp.helpers]) != 2:
-        return None
     bounds = [model.quantities[name].bounds for name in names]
     scales, units = zip(*map(model.display, names), strict=True)
     sides = [np.linspace(*ends, GRID) for ends in bounds]
