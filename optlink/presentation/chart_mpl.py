@@ -1,8 +1,10 @@
 """Pictures of charts: `ChartSpec` drawn with matplotlib in the style of the project."""
 
+import io
 import itertools
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -34,13 +36,14 @@ from optlink.presentation.chart_spec import (
 )
 from optlink.presentation.format import pretty
 from optlink.presentation.labels import Label, place_labels
-from optlink.presentation.style import HALO, figure, heading, styled
+from optlink.presentation.style import HALO, figure, heading, legible, styled
 
 DASHES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
 NO_VALUE = "#e4e4e4"  # colour of the cells of a heat map without a value
 TITLE, FONT = 10.5, 8.5
 MIN_ASPECT, MAX_ASPECT = 0.45, 1.1  # ratios of height to width that a chart with equal scales may have in a picture
 PANEL_HEIGHT = 2.05  # height of a panel [inch]
+PAPER_WIDTH, PAPER_HEIGHT = 7.1, (1.7, 0.7)  # of a chart on paper [inch]: its width; its height, without and for each panel
 MAX_BARS = 40  # number of bars up to which they are drawn as bars
 
 
@@ -81,6 +84,18 @@ def draw(charts: Sequence[ChartSpec]) -> Figure:
     if labels:
         place_labels(fig, labels)
     return fig
+
+
+@styled
+def paper(chart: ChartSpec) -> str:
+    """Return a chart as the SVG text of a low picture without a title, for a printed page."""
+    low = [replace(panel, height=0.45 * panel.height) for panel in chart.panels]  # names of axes break into lines
+    chart, picture = replace(chart, width=PAPER_WIDTH, panels=low), io.StringIO()
+    fig = figure(PAPER_WIDTH, PAPER_HEIGHT[0] + PAPER_HEIGHT[1] * len(chart.panels))
+    place_labels(fig, _chart(fig, chart))
+    legible(fig)
+    fig.savefig(picture, format="svg", metadata={"Date": None})
+    return picture.getvalue()
 
 
 def _height(chart: ChartSpec) -> float:
@@ -293,8 +308,8 @@ def _legend(axes: Axes, width: float) -> None:
     entries = {pretty(name): handle for handle, name in zip(*axes.get_legend_handles_labels(), strict=True)}
     if not entries:
         return
-    letters = max(max(len(line) for line in name.splitlines()) for name in entries) + 6
-    rows = -(-len(entries) // max(1, int((width - 0.8) / (0.067 * letters))))
+    letters, room = [max(len(line) for line in name.splitlines()) + 6 for name in entries], (width - 0.8) / 0.067
+    rows = 1 if sum(letters) <= room else -(-len(entries) // max(1, int(room / max(letters))))
     style: dict[str, Any] = {"frameon": False, "fontsize": FONT, "borderaxespad": 0.1}
     handles: list[Any] = [_proxy(handle) for handle in entries.values()]
     if rows <= 3 and not any("\n" in name for name in entries):

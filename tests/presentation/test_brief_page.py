@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import itertools
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import optlink
+from optlink.presentation import chart_mpl
 from optlink.presentation.html.page import page, write_page
 from optlink.presentation.html.study_page import abridged
 from optlink.presentation.interface import page_content
@@ -49,18 +51,41 @@ def test_paper_shows_positions_in_place_of_the_motion(driver, tmp_path):
     place = tmp_path / "page.html"
     write_page(page_content("crank-rocker", {}), place, brief=True)
     opened(driver, place)
-    stills, moving = (driver.find_element("css selector", name) for name in (".stills", ".linkage"))
+    stills, moving, chart, printed = (
+        driver.find_element("css selector", name) for name in (".stills", ".linkage", ".plot", "img.paper")
+    )
     assert moving.is_displayed()
+    assert chart.is_displayed()
     assert not stills.is_displayed()
+    assert not printed.is_displayed()
     assert faults(driver) == []
     driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
     assert stills.is_displayed()
+    assert printed.is_displayed()
     assert not moving.is_displayed()
+    assert not chart.is_displayed()
+    assert driver.execute_script("return arguments[0].naturalWidth", printed) > 600
     drawn = [
         figure.get_attribute("innerHTML") for figure in stills.find_elements("css selector", "figure svg [data-layer=bodies]")
     ]
     assert len(set(drawn)) == 4
     driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
+def test_printed_charts_keep_legends_and_names_of_axes_clear(monkeypatch):
+    figures = []
+    monkeypatch.setattr(chart_mpl, "legible", figures.append)
+    short("shaper")
+    assert [len(figure.axes) for figure in figures] == [2, 1]
+    for figure in figures:
+        figure.canvas.draw()
+        panels = [axes.get_window_extent() for axes in figure.axes]
+        legends = [axes.get_legend().get_window_extent() for axes in figure.axes if axes.get_legend()]
+        assert legends
+        assert not [legend for legend in legends for panel in panels if legend.count_overlaps([panel])]
+        names = [axes.yaxis.label.get_window_extent() for axes in figure.axes]
+        assert all(figure.bbox.y0 <= name.y0 for name in names)
+        assert all(low.y1 < high.y0 for high, low in itertools.pairwise(names))
 
 
 @pytest.mark.parametrize("source", mostly_slow(optlink.shipped(), "crank-rocker", "shaper"))

@@ -14,6 +14,7 @@ import pytest
 import optlink
 from optlink.presentation import style
 from optlink.presentation.html import theme
+from optlink.problem.templates import templates
 from tests.browser import colours, console, faults
 
 ASSETS = Path(optlink.__file__).parent / "studio" / "assets"
@@ -598,6 +599,19 @@ def test_a_file_that_is_not_utf8_is_refused(page, tmp_path):
     assert page.run(
         "const { width, left } = toast.getBoundingClientRect(); return width > 300 && left >= 0"
     )  # not half of a phone
+
+
+@pytest.mark.slow
+def test_the_first_screen_shows_tasks_and_each_template_once(page):
+    """A picture opens the template of its task."""
+    offered = page.run("return [...document.querySelectorAll('#start [data-template]')].map((one) => one.dataset.template)")
+    assert sorted(offered) == sorted(templates())
+    pictures = page.run("return [...document.querySelectorAll('.way')].map((one) => one.querySelectorAll('svg > *').length)")
+    assert len(pictures) == 8
+    assert all(pictures)
+    page.find('.way[data-template="stroke"]').click()
+    page.verified()
+    assert page.text("#title") == "Feeder: a slider with a stroke of 120 mm and a quick return"
 
 
 @pytest.mark.slow

@@ -160,7 +160,7 @@
     places.forEach((place) => {
       const panels = Object.keys(place.layout).filter((key) => key.startsWith("yaxis")).length;
       const rows = place.layout.yaxis.tickvals?.length ?? 0;
-      const room = document.body.classList.contains("brief") ? 180 + 60 * panels : rows > 8 ? 900 : panels > 2 ? 600 : 420; // two to a sheet, unless the names of the axes or rows would overlap
+      const room = rows > 8 ? 900 : panels > 2 ? 600 : 420; // two to a sheet, unless the names of the axes or rows would overlap
       Plotly.relayout(place, { width: 680, height: Math.min(place.layout.height, room), autosize: false });
     });
   });

@@ -65,7 +65,7 @@ class Chart:
     """A chart: title, plotly figure, and whether its x axis is that of the slider, so that a cursor can follow.
 
     `picks` are its selectable points; `remark` is a note to the reader; `words` describes it for a screen reader; `draw`
-    returns the drawings of selectable points by number.
+    returns the drawings of selectable points by number; `paper` is a picture (SVG) to print in its place.
     """
 
     title: str
@@ -75,6 +75,7 @@ class Chart:
     remark: str = ""
     words: str = ""
     draw: Callable[[], Mapping[int, Drawing]] | None = None
+    paper: str = ""
 
     @cached_property
     def drawings(self) -> Mapping[int, Drawing]:

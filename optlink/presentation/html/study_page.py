@@ -10,6 +10,7 @@ from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import Array
+from optlink.presentation.chart_mpl import paper
 from optlink.presentation.chart_spec import ChartSpec
 from optlink.presentation.export.dimensions import Drawing, dimensioned
 from optlink.presentation.format import Scale, single_units
@@ -63,7 +64,10 @@ def abridged(studied: StoredStudy) -> StoredStudy:
         status=(),
         notes=(),
         design=studied.design or next(picked, None),
-        sections=[*([shown] if studied.limits or figures else []), *drawn([PageSection("Curves", charts)] if charts else [])],
+        sections=[
+            *([shown] if studied.limits or figures else []),
+            *([PageSection("Curves", [replace(_chart(one), paper=paper(one)) for one in charts])] if charts else []),
+        ],
     )
 
 

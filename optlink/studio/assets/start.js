@@ -1,4 +1,4 @@
-// The first screen, which also opens another problem: draw, example, file, templates, shipped problems, shared link.
+// The first screen, which also opens another problem: pictures of tasks, file, example, templates, shipped problems, shared link.
 import { $, el, toast } from "./dom.js";
 
 const LARGEST = 900000; // characters of a problem file: a message has at most 1 MB
@@ -29,11 +29,12 @@ export class Start {
   }
 
   take({ problems, templates }) {
-    $("templates").replaceChildren(
-      ...templates.map(({ name, title }) =>
-        el("button", { "data-template": name, onclick: () => this.pick(() => this.actions.fresh(name)) }, el("b", { text: name.replaceAll("-", " ") }), el("span", { text: title }))
-      )
-    );
+    const pictured = [...document.querySelectorAll(".way[data-template]")];
+    const others = templates.filter(({ name }) => !pictured.some((one) => one.dataset.template === name));
+    $("templates").replaceChildren(...others.map(({ name, title }) => el("button", { "data-template": name, text: title })));
+    for (const one of [...pictured, ...$("templates").children]) {
+      one.onclick = () => this.pick(() => this.actions.fresh(one.dataset.template));
+    }
     $("problems").replaceChildren(
       ...problems.map(({ name, title, kind }) =>
         el("button", { "data-problem": name, onclick: () => this.pick(() => this.actions.open({ name })) }, el("b", { text: title }), el("small", { text: kind || name }))
