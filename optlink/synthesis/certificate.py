@@ -1,11 +1,10 @@
 """Proofs that a solution of `homotopy` exists, is alone in its neighbourhood, and is real: Krawczyk's condition.
 
-Residuals are computed with about 32 digits (pairs of floats), all else in double precision, with bounds of the rounding errors.
+Residuals are computed with `pairs`, all else in double precision, with bounds of the rounding errors.
 
 References
 ----------
 R. Krawczyk, Computing 4 (1969) 187-201.
-T. J. Dekker, Numer. Math. 18 (1971) 224-242 (arithmetic of pairs).
 """
 
 from dataclasses import dataclass
@@ -15,46 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.synthesis.homotopy import LEAST, Complex, Problem, Roots, slopes
+from optlink.synthesis.homotopy import LEAST, Problem, Roots, slopes
+from optlink.synthesis.pairs import Complex, Pair, closure
 
 PAIR, DOUBLE = 2.0**-94, 2.0**-46  # bounds of the rounding of a value, of pairs and of doubles, relative to the sum of its terms
 REACH = 0.1  # largest radius of a neighbourhood, relative to the coordinates
 HALF = 0.49  # of the contraction, with which the rounding of the bounds themselves is covered
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Complex numbers as sums of two arrays, of which the second one is the rounding error of the first."""
-
-    high: Complex
-    low: Any = 0.0
-
-    def __add__(self, other: "Pair") -> "Pair":
-        total = self.high + other.high
-        part = total - self.high
-        error = (self.high - (total - part)) + (other.high - part)
-        return _normal(total, error + (self.low + other.low))
-
-    def __mul__(self, other: "Pair") -> "Pair":
-        p, q = self.high, other.high
-        real, imag = _product(p.real, q.real), _product(p.real, q.imag)
-        both = _normal(real[0] + 1j * imag[0], real[1] + 1j * imag[1])
-        real, imag = _product(p.imag, q.imag), _product(p.imag, q.real)
-        return both + _normal(-real[0] + 1j * imag[0], -real[1] + 1j * imag[1] + (p * other.low + self.low * q))
-
-
-def _normal(high: Complex, low: Complex) -> Pair:
-    total = high + low
-    return Pair(total, low - (total - high))
-
-
-def _product(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return products and their rounding errors."""
-    p = a * b
-    big, large = a * 134217729.0, b * 134217729.0
-    a_high, b_high = big - (big - a), large - (large - b)
-    a_low, b_low = a - a_high, b - b_high
-    return p, ((a_high * b_high - p) + a_high * b_low + a_low * b_high) + a_low * b_low
 
 
 def _equations(problem: Problem, dyads: Any, turns: Any, sign: float, wrap: Any) -> Any:
@@ -69,8 +34,7 @@ def _equations(problem: Problem, dyads: Any, turns: Any, sign: float, wrap: Any)
     at_poses = p * (ub + q) + u * q
     d, e = (wrap(each[poses:]) for each in (problem.d, problem.e))
     t, one, minus = wrap(*(part[:, None, poses:] for part in turns)), wrap(np.array(1.0 + 0j)), wrap(np.array(sign + 0j))
-    p, more = d + t * x, one + t
-    return at_poses, p * ub * more + (u + p) * (e * more + t * xb * minus)
+    return at_poses, closure(x, xb, u, ub, d, e, t, one, minus)
 
 
 @dataclass(frozen=True)

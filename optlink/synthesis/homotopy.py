@@ -24,14 +24,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Complex = NDArray[np.complex128]
+from optlink.linkage.vector2d import Array
+from optlink.synthesis.pairs import Complex, Pair, closure
 
 TOLERANCE = 1e-3  # correction of a predicted point that the step size aims at, relative to the coordinates
 CONVERGED = 1e-8  # last correction of a point on a path: rounding is as large near infinity
 CORRECTIONS = 3  # Newton steps at most
 LEAST = 1e-2  # size that a smaller coordinate counts as when roots are compared; the displacements are of size 1
 MANY = 400  # paths from which on compilation, which takes some seconds once, is worth it
-SHORTEST, MOST = 1e-9, 2000  # step, and number of steps, at which a path is given up
+SHORTEST = (1e-9, 1e-14)  # step at which a path is given up, in double precision and in pairs
+MOST = 2000  # number of steps at which a path is given up
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,11 @@ class Problem:
     def kind(self) -> tuple[int, int]:
         """Numbers of poses, with the first one, and of points."""
         return len(self.turns) + 1, len(self.d) - len(self.turns)
+
+    @property
+    def data(self) -> Complex:
+        """All data (3, K), with 0 as the rotations at points."""
+        return np.stack([self.d, self.e, np.pad(self.turns, (0, len(self.d) - len(self.turns)))])
 
 
 @dataclass(frozen=True)
@@ -81,13 +88,22 @@ def slopes(dyads: Complex, turns: Complex, d: Complex, e: Complex) -> tuple[Comp
 
 
 def steps(
-    dyads: Complex, turns: Complex, d: Complex, e: Complex, poses: int, rates: tuple[Complex, Complex, Complex] | None = None
+    dyads: Complex,
+    turns: Complex,
+    d: Complex,
+    e: Complex,
+    poses: int,
+    rates: tuple[Complex, Complex, Complex] | None = None,
+    residual: Complex | None = None,
 ) -> tuple[Complex, Complex]:
     """Return Newton steps of dyads and rotations at displacements (B, K), or tangents for rates of the data (K,).
 
-    The rotation at a point is eliminated from the rows of both dyads, so a step solves eight linear equations.
+    The rotation at a point is eliminated from the rows of both dyads, so a step solves eight linear equations. A `residual`
+    (B, 2, K) is taken in place of the values of the equations in double precision.
     """
     value, slope, by_turn, (by_d, by_e) = slopes(dyads, turns, d, e)
+    if residual is not None:
+        value = residual
     if rates is not None:
         value = by_d * rates[0] + by_e * rates[1] + by_turn * rates[2]
     count = len(dyads)
@@ -116,55 +132,75 @@ def steps(
 def track(roots: Roots, start: Problem, end: Problem) -> tuple[Roots, NDArray[np.bool_]]:
     """Return the solutions at the end of the paths from those of another problem, and which paths came to their ends.
 
+    Where doubles are too short, near singular or infinite solutions, a path is continued with 32 digits.
+    """
+    found, at = follow(roots, start, end, np.zeros(len(roots)), False)
+    lost = np.flatnonzero(at < 1.0)
+    again, at[lost] = follow(found[lost], start, end, at[lost], True)
+    found.dyads[lost], found.turns[lost] = again.dyads, again.turns
+    return found, at >= 1.0
+
+
+def follow(roots: Roots, start: Problem, end: Problem, reached: Array, precise: bool) -> tuple[Roots, Array]:
+    """Return the last solutions on the paths from where they were `reached`, and how far each came: 1 is its end.
+
     A step of the classical Runge-Kutta method is corrected by Newton's method; all paths take their steps at the same time.
     """
-    poses, advance = len(start.turns), solver(len(roots))
-    rates = end.d - start.d, end.e - start.e, np.zeros(len(start.d), complex)
-    rates[2][:poses] = end.turns - start.turns
-    dyads, turns = roots.dyads.copy(), roots.turns.copy()
-    at, step, count = np.zeros(len(roots)), np.full(len(roots), 0.02), np.zeros(len(roots), int)
-    open_paths = np.arange(len(roots))
+    poses, advance = len(start.turns), steps if precise else solver(len(roots))
+    begin, change = start.data, Pair(end.data) + Pair(-start.data)
+    rates = change.high[0], change.high[1], change.high[2]
+    state = Pair(np.concatenate([roots.dyads.reshape(-1, 8), roots.turns], axis=1))
+    rest = np.zeros_like(state.high)
+    at = reached.copy()
+    step, count = np.minimum(0.02, 0.1 * (1.0 - at)), np.zeros(len(roots), int)
+    open_paths = np.flatnonzero(at < 1.0)
 
-    def data(s: NDArray[np.float64]) -> tuple[Complex, Complex]:
-        return start.d + s[:, None] * rates[0], start.e + s[:, None] * rates[1]
+    def slope(state: Complex, s: Array, *more: Any) -> Complex:
+        data = begin + s[:, None, None] * change.high
+        dyads, turns = state[:, :8].reshape(-1, 2, 4), state[:, 8:].copy()
+        by_dyads, by_turns = advance(dyads, turns, data[:, 0], data[:, 1], poses, *more)
+        return np.concatenate([by_dyads.reshape(-1, 8), by_turns], axis=1)
+
+    def residual(state: Pair, s: Array) -> Complex:
+        data = Pair(begin) + Pair(s[:, None, None].astype(complex)) * change
+        d, e, t = (data[:, None, k] for k in range(3))
+        t.high[..., poses:], t.low[..., poses:] = state.high[:, None, 8 + poses :], state.low[:, None, 8 + poses :]
+        x, xb, u, ub = (state[:, [k, k + 4], None] for k in range(4))
+        values: Pair = closure(x, xb, u, ub, d, e, t, Pair(np.array(1.0 + 0j)), Pair(np.array(-1.0 + 0j)))
+        return values.high / (1.0 + t.high)
 
     with np.errstate(all="ignore"):  # a path that meets a singular point has no finite steps, and is given up
         while len(open_paths):
-            z, t, s = dyads[open_paths], turns[open_paths], at[open_paths]
+            z, s = Pair(state.high[open_paths], rest[open_paths]), at[open_paths]
             h = np.minimum(step[open_paths], 1.0 - s)
-            total_z, total_t, slope_z, slope_t = np.zeros_like(z), np.zeros_like(t), np.zeros_like(z), np.zeros_like(t)
+            total, rate = np.zeros_like(z.high), np.zeros_like(z.high)
             for share, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
                 far = share * h
-                slope_z, slope_t = advance(
-                    z + far[:, None, None] * slope_z, t + far[:, None] * slope_t, *data(s + far), poses, rates
-                )
-                total_z += weight * slope_z
-                total_t += weight * slope_t
-            z = z + (h / 6.0)[:, None, None] * total_z
-            t = t + (h / 6.0)[:, None] * total_t
-            t[:, :poses] = start.turns + (s + h)[:, None] * rates[2][:poses]
-            first = last = np.full(len(z), np.inf)
+                rate = slope(z.high + far[:, None] * rate, s + far, rates)
+                total += weight * rate
+            z += Pair((h / 6.0)[:, None] * total)
+            s += h
+            z.high[:, 8 : 8 + poses] = start.turns + s[:, None] * change.high[2, :poses]
+            first = last = np.full(len(s), np.inf)
             for k in range(CORRECTIONS):
                 left = np.flatnonzero((last > CONVERGED) & ((k == 0) | (last < 0.1)))
                 if not len(left):
                     break
-                by_z, by_t = advance(z[left], t[left], *data((s + h)[left]), poses)
-                z[left] += by_z
-                t[left] += by_t
+                by = slope(z.high[left], s[left], None, *([residual(z[left], s[left])] if precise else []))
+                moved = z[left] + Pair(by)
+                z.high[left], z.low[left] = moved.high, moved.low
                 last = last.copy()
-                last[left] = np.maximum(
-                    np.max(np.abs(by_z) / (1.0 + np.abs(z[left])), axis=(1, 2)),
-                    np.max(np.abs(by_t) / np.abs(t[left]), axis=1),
-                )
+                size = np.abs(moved.high)
+                last[left] = np.max(np.abs(by) / np.concatenate([1.0 + size[:, :8], size[:, 8:]], axis=1), axis=1)
                 first = last if k == 0 else first
             good = last < CONVERGED  # false for a number that is none
             taken = open_paths[good]
-            dyads[taken], turns[taken], at[taken] = z[good], t[good], (s + h)[good]
+            state.high[taken], rest[taken], at[taken] = z.high[good], z.low[good], s[good]
             scale = np.clip((TOLERANCE / first) ** 0.2, 0.3, 2.5)
             step[open_paths] = np.where(good, np.where(np.isfinite(scale), scale, 0.3), 0.4) * h
             count[open_paths] += 1
-            open_paths = open_paths[(at[open_paths] < 1.0) & (step[open_paths] > SHORTEST) & (count[open_paths] < MOST)]
-    return Roots(dyads, turns), at >= 1.0
+            open_paths = open_paths[(at[open_paths] < 1.0) & (step[open_paths] > SHORTEST[precise]) & (count[open_paths] < MOST)]
+    return Roots(state.high[:, :8].reshape(-1, 2, 4), state.high[:, 8:]), at
 
 
 def solver(count: int) -> Steps:

@@ -8,7 +8,8 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.linkage.vector2d import Array
 from optlink.synthesis.certificate import certificate
-from optlink.synthesis.homotopy import Complex, Problem, Roots, track
+from optlink.synthesis.homotopy import Problem, Roots, track
+from optlink.synthesis.pairs import Complex
 from optlink.synthesis.start_problems import COUNTS, cognates, distinct, stored
 
 ROUTES = 4  # sets of paths, from different generic problems, that are followed until no four-bar is missing

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.synthesis.homotopy import LEAST, Complex, Problem, Roots, steps, track
+from optlink.synthesis.homotopy import LEAST, Problem, Roots, steps, track
+from optlink.synthesis.pairs import Complex
 
 FILE = Path(__file__).with_suffix(".npz")
 

@@ -7,8 +7,9 @@ import pytest
 
 from optlink.errors import InputError
 from optlink.synthesis import homotopy, poses_and_points
-from optlink.synthesis.certificate import Pair, certificate
-from optlink.synthesis.homotopy import Problem, Roots, track
+from optlink.synthesis.certificate import certificate
+from optlink.synthesis.homotopy import Problem, Roots, follow, track
+from optlink.synthesis.pairs import Pair
 from optlink.synthesis.poses_and_points import four_bars
 from optlink.synthesis.start_problems import COUNTS, cognates, distinct, packed, refined, stored, unpacked
 
@@ -137,6 +138,27 @@ def test_a_certificate_refines_and_refuses():
     assert not np.all(proofs(1e-1).proven)
     assert np.array_equal(proof.real, near.real)
     assert 0 < proof.real.sum() < 30
+
+
+def test_paths_continue_with_twice_the_digits():
+    problem, roots = stored(4, 2)
+    end = Problem(*(np.conj(each) for each in (problem.d, problem.e, problem.turns)))
+    whole, arrived = track(roots[:3], problem, end)
+    halfway = Problem(*(0.5 * (getattr(problem, name) + getattr(end, name)) for name in ("d", "e", "turns")))
+    middle, _ = track(roots[:3], problem, halfway)
+    again, at = follow(middle, problem, end, np.full(3, 0.5), True)
+    assert np.all(arrived)
+    assert np.array_equal(at, np.ones(3))
+    assert np.max(np.abs(again.dyads - whole.dyads) / (1.0 + np.abs(whole.dyads))) < 1e-7
+
+
+@pytest.mark.slow
+def test_nearly_singular_four_bars_of_two_poses_and_six_points_are_found():
+    """The body turns by 1.6 deg between its poses, two of the points nearly coincide: doubles lose 31 paths of 1112."""
+    places, angles, pivots = known_targets((2, 6), 13)
+    found = four_bars(places, angles)
+    assert found.missing == 0
+    assert gap(found, pivots) < 1e-7
 
 
 def test_a_double_root_has_no_certificate():
