@@ -53,6 +53,10 @@ ALL = (
     "List all exact solutions of five poses, timed points or points of a function, or of nine points, each with what "
     "excludes it; of four poses the best ones."
 )
+BY = (
+    '--all: quantity that ranks them, such as "total length". Default: that of the objective of the file; without one, the '
+    "transmission angle."
+)
 DETAILS = "Print all checks, tables and times too; JSON and page always have them. A failed check is always printed."
 
 
@@ -72,6 +76,7 @@ def solve(
     scheduler: Scheduler = None,
     rounding: Annotated[list[str] | None, option("STEP", ROUND, "--round")] = None,
     every: Annotated[bool, flag(ALL, "--all")] = False,
+    by: Annotated[str | None, option("MEASURE", BY, "--by")] = None,
     changes: Set = None,
     design: Design = None,
     details: Annotated[bool, flag(DETAILS, "--details")] = False,
@@ -88,7 +93,7 @@ def solve(
     steps = " ".join(rounding or ()) or None
     if design:
         console.refuse(
-            {"--all": every, "--certify": certify, "--round": steps} | limits | where,
+            {"--all": every, "--by": by, "--certify": certify, "--round": steps} | limits | where,
             "a given design is validated, not optimised",
             "Leave it out",
         )
@@ -103,8 +108,9 @@ def solve(
 
         searched = {"--certify": certify, "--round": steps, "--starts": starts, "--designs": designs}
         console.refuse(searched | limits | where, "exact solutions are listed without a search", "Leave it out", file.file)
-        console.deliver(exact(file), as_json, out)
+        console.deliver(exact(file, by), as_json, out)
         return
+    console.refuse({"--by": by}, "only listed exact solutions are ranked by a quantity", "Add --all, or leave it out", file.file)
     if not (_automatic(file) if certify is None else certify):
         task = design_task(file)
         remedy = "Add --certify, or leave it out" if certify is None and task.certifies(file) else "Leave it out"

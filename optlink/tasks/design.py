@@ -393,7 +393,7 @@ class SearchRounds:
             self._sampled()
             return
         kind = next((kind for kind, suits in CHEAP if suits(self.task)), None)
-        if begin is None and kind is not None:
+        if begin is None and kind is not None and not self.task.composed:
             targets = kind(self.files)
             self.exact_solutions = targets.summary
             for variant, design in targets.usable:

@@ -12,7 +12,8 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.problem.arguments import typed
 from optlink.problem.design import DesignProblem
-from optlink.problem.file import AnyProblem, problem_of
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
+from optlink.problem.terms import QUANTITIES, Goal, read_words
 from optlink.synthesis.five_poses import FourBarSolution, link
 from optlink.synthesis.poses_and_points import four_bars
 from optlink.tasks.five_targets import FiveTargets, alone, marked
@@ -55,8 +56,24 @@ def nine_points(task: DesignProblem) -> bool:
     )
 
 
+def _ranking(problem: ProblemFile, text: str) -> Goal:
+    """Return the quantity of the machine that a text names."""
+    keys = read_words(text)
+    if keys is None:
+        remedy = f'Write for example "total length" or "least transmission angle at C"; known: {", ".join(QUANTITIES)}'
+        raise InputError("not a quantity of the machine", remedy, problem.file, "--by", text)
+    keys.setdefault("sense", "maximise" if keys.get("measure") == "least" else "minimise")
+    weights = {} if problem.spec.requirement.limited else {"requirement.weight": 1.0, "requirement.scale": None}
+    try:
+        goal: Goal = problem.override({**weights, "objective": {"terms": [keys]}}).spec.goals[0]
+    except InputError as error:
+        fault = error.faults[0]
+        raise InputError(fault.message, fault.remedy, problem.file, "--by", text) from None
+    return goal
+
+
 @typed
-def exact(problem: AnyProblem) -> SynthesisResult:
+def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
     """Find all linkages that meet the targets of a problem exactly, and tell of each why it is usable or not.
 
     Parameters
@@ -65,16 +82,19 @@ def exact(problem: AnyProblem) -> SynthesisResult:
         A four-bar for five poses with free timing, five points timed from a free start, five points of a law or function with
         free start angles, or nine points with free timing; or a slider-crank for five points of a law of its slide. All
         dimensions are design variables. Of four poses, which two dyads of a curve meet, the best four-bars are listed.
+    by : str, optional
+        Quantity of the machine that ranks them, in words: "total length", "peak acceleration of P", "maximise stroke of rocker".
+        By default that of the objective of the file; without one, the transmission angle.
 
     Returns
     -------
     SynthesisResult
-        `designs`: all usable ones, the one with the best transmission angle first; `exact_solutions`: all, with the reasons.
+        `designs`: all usable ones, the best one first; `exact_solutions`: all, with the reasons.
 
     Raises
     ------
     InputError
-        If the problem is of another kind, whose solutions are infinitely many or too many to list.
+        If the problem is of another kind, whose solutions are infinitely many or too many to list; or for an unknown quantity.
 
     Examples
     --------
@@ -94,7 +114,7 @@ def exact(problem: AnyProblem) -> SynthesisResult:
         )
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()
-    targets = kind(problem.variants())
+    targets = kind(problem.variants(), None if by is None else _ranking(problem, by))
     designs = [design for _, design in targets.usable]
     nearest = next((one.design for one in targets.found if one.design is not None), None)
     shown = designs or ([] if nearest is None else [nearest])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -17,10 +18,12 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.requirements.base import MARK, START
+from optlink.problem.terms import Goal
 from optlink.synthesis.five_poses import POSES, FourBarSolution, couplers, dyads, timed_paths
 from optlink.tasks.results.design import LinkageDesign
 from optlink.tasks.results.exact import ExactSolution, ExactSolutions
 from optlink.tasks.search import mode_of
+from optlink.units import KINDS, factor
 from optlink.validation import validate
 
 CONDITIONS = 10  # of five poses with free timing or five timed points, on as many design variables of a four-bar
@@ -71,13 +74,51 @@ class _Found:
 class FiveTargets:
     """The exact solutions of a problem with definite assembly modes in `files`; see `applies`."""
 
-    def __init__(self, files: Sequence[ProblemFile]) -> None:
+    def __init__(self, files: Sequence[ProblemFile], goal: Goal | None = None) -> None:
         self.files, self.task = files, files[0].spec
+        self.goal = goal
+        self.goals = self.task.goals if goal is None else (goal,)
         self.counts, pairs = self._solved()
         self.found = sorted(
             (found for pair in pairs if (found := self._judged(pair)) is not None),
-            key=lambda one: (len(one.solution.reasons), -one.solution.transmission),
+            key=lambda one: (len(one.solution.reasons), self._rank(one.solution)),
         )
+
+    def _rank(self, solution: ExactSolution) -> float:
+        """Return the number by which solutions are sorted, the least one first."""
+        if not self.goals:
+            return -solution.transmission
+        return math.inf if solution.figure is None else self._sense * solution.figure
+
+    @property
+    def _sense(self) -> float:
+        """-1 if the quantity by which they are ranked is maximised."""
+        return -1.0 if self._ranked is not None and self._ranked.sense == "maximise" else 1.0
+
+    @property
+    def _ranked(self) -> Goal | None:
+        """The only quantity by which they are ranked; None without one, and for a weighted sum."""
+        return self.goals[0] if self.goal is not None or (self.goals and self.task.single) else None
+
+    @property
+    def _words(self) -> str:
+        return "objective" if self._ranked is None else self._ranked.words
+
+    @cached_property
+    def _unit(self) -> str:
+        """Display unit of the quantity by which they are ranked."""
+        kind = "" if self._ranked is None else self.task.kind(self._ranked)
+        return KINDS[kind].display if kind else ""
+
+    def _figure(self, design: LinkageDesign) -> float | None:
+        """Return the quantity of a design by which it is ranked, in its unit; None without one, or if it is undefined."""
+        if not self.goals:
+            return None
+        value = design.objective
+        if self._ranked is not None:
+            value = math.nan if design.cycle is None else design.cycle.figure(self._ranked)
+            value /= factor(self._unit, self.task.kind(self._ranked)) if self._unit else 1.0
+        return value if math.isfinite(value) else None
 
     def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
         """Return the numbers of roots, and the four-bars that they make, each with the link that is its crank."""
@@ -105,11 +146,14 @@ class FiveTargets:
     @property
     def summary(self) -> ExactSolutions:
         """All solutions as data."""
-        return replace(self.counts, solutions=tuple(one.solution for one in self.found))
+        found = replace(self.counts, solutions=tuple(one.solution for one in self.found))
+        if not self.goals:
+            return found
+        return replace(found, ranked_by=self._words, unit=self._unit)
 
     @property
     def usable(self) -> list[tuple[int, LinkageDesign]]:
-        """Designs that pass all checks with the numbers of their assembly modes, the one with the best transmission first."""
+        """Designs that pass all checks with the numbers of their assembly modes, the best one first."""
         return [(one.variant, one.design) for one in self.found if one.solution.usable and one.design is not None]
 
     def _judged(self, pair: FourBarSolution) -> _Found | None:
@@ -131,7 +175,7 @@ class FiveTargets:
         variant = next((k for k, loop in enumerate(loops) if loop is not None and loop.side == side), None)
         mode = (("forward", "backward") if slides else ("left", "right"))[side < 0]
         certified = pair.crank.certified and pair.follower.certified
-        design = None
+        design, figure = None, None
         if not reasons and variant is None:
             reasons.append(f'assembly: it needs "{mode}"')
         if not reasons and variant is not None:
@@ -139,8 +183,9 @@ class FiveTargets:
             values, mode = design.values, mode_of(design.problem)
             reasons += _failures(design)
             transmission = transmission if reasons else design.least_transmission
+            figure = self._figure(design)
         shown = {name: value for name, value in values.items() if name in task.quantities}
-        return _Found(ExactSolution(shown, mode, transmission, certified, tuple(reasons)), variant or 0, design)
+        return _Found(ExactSolution(shown, mode, transmission, certified, tuple(reasons), figure), variant or 0, design)
 
     def _design(self, variant: int, values: Mapping[str, float], phi: Array) -> LinkageDesign:
         """Return a four-bar as a validated design."""
@@ -159,8 +204,8 @@ class FiveTargets:
 
 
 def alone(task: DesignProblem, count: int) -> bool:
-    """Return whether a problem has one requirement, of a number of targets, and nothing beside it."""
-    return len(task.parts) == 1 and not task.composed and task.robust is None and len(task.data.columns) == count
+    """Return whether a problem has one requirement, of a number of targets."""
+    return len(task.parts) == 1 and not task.requirements and task.robust is None and len(task.data.columns) == count
 
 
 def marked(task: DesignProblem) -> bool:
@@ -196,7 +241,11 @@ def applies(task: DesignProblem) -> bool:
     if task.law_given:
         names = task.start_name, task.base_name
         guides = {guide.name for guide in task.linkage.guides}
-        suitable = task.task == "function" if task.four_bar else task.requirement.kind == "function" and task.output in guides
+        suitable = (
+            task.requirement.task(task) == "function"
+            if task.four_bar
+            else task.requirement.kind == "function" and task.output in guides
+        )
         if not suitable or task.everywhere or not {*names, *loop.names} <= set(task.free):
             return False
         return bool(np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12))

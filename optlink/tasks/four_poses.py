@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optlink.errors import InputError
 from optlink.linkage.mechanism import Arm
@@ -14,6 +15,7 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
+from optlink.problem.terms import Goal
 from optlink.synthesis.five_poses import FourBarSolution, link
 from optlink.synthesis.four_poses import DEFECTS, POSES, DyadCurves, Pairs, curves
 from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, applies as of_five_targets, marked
@@ -24,6 +26,9 @@ MOST = 400  # dyads that are drivers and followers of all pairs
 APART = 0.04  # least distance of listed pairs along one of the curves, as a share of the dyads
 DESIGNS = 6  # largest number of listed four-bars
 TRIED = 40  # largest number of four-bars that are validated
+FRAME_LENGTH = "frame length"
+MEASURED, CLIMBED = 100, 3  # pairs of dyads of which a quantity is measured, and best ones that are improved
+STEPS = (9, 3, 1)  # of the dyads along a curve, to better ones
 
 
 def curves_of(task: DesignProblem) -> DyadCurves | None:
@@ -43,11 +48,11 @@ def applies(task: DesignProblem) -> bool:
 class FourTargets(FiveTargets):
     """The best four-bars of two dyads of four poses, for a problem with definite assembly modes in `files`; see `applies`."""
 
-    def __init__(self, files: Sequence[ProblemFile], chosen: tuple[int, int] | None = None) -> None:
+    def __init__(self, files: Sequence[ProblemFile], goal: Goal | None = None, chosen: tuple[int, int] | None = None) -> None:
         found = curves_of(files[0].spec)
         assert found is not None
         self.curves, self.chosen, self.sentence = found, chosen, found.special
-        super().__init__(files)
+        super().__init__(files, goal)
         self.found = self.found[:DESIGNS]
 
     def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
@@ -64,7 +69,7 @@ class FourTargets(FiveTargets):
         return counts, [FourBarSolution(dyads[i], dyads[k], found.places, found.angles) for i, k in rows]
 
     def _best(self) -> Iterator[tuple[int, int]]:
-        """Yield driver and follower of varied pairs, the one with the best transmission angle first, and compose the sentence."""
+        """Yield driver and follower of varied pairs, the best one first, and compose the sentence."""
         found, task = self.curves, self.task
         finite = np.flatnonzero(~np.isnan(found.points[:, 0]))
         rows = finite[np.unique(np.linspace(0, len(finite) - 1, MOST).astype(int))]
@@ -81,34 +86,79 @@ class FourTargets(FiveTargets):
             f"{curve} of dyads, of which {len(drivers) / len(rows):z.0%} may drive; {np.mean(passing):z.1%} of {count} four-bars "
             f"pass the poses in order (not: {reasons}), {np.mean(inside):z.1%} within the bounds"
         )
-        measure = np.where(inside, self._transmission(every), 0.0)
+        value, limit = self._transmission(every), task.limits.transmission_angle
+        least = 0.0 if limit is None else min(limit.low or 0.0, math.pi - (limit.high or math.pi))
+        measure = np.where(inside & (value > 0.0) & (value >= least), value, -math.inf)
+        if self.goals:
+            measure = self._measured(np.isfinite(measure), drivers, rows)
         wide = max(1, round(APART * len(rows)))
         places = np.searchsorted(rows, drivers)
         for _ in range(TRIED):
             i, k = np.unravel_index(int(np.argmax(measure)), measure.shape)
-            if measure[i, k] <= 0.0:
+            if measure[i, k] == -math.inf:
                 return
             yield int(drivers[i]), int(rows[k])
             near = np.abs(places - places[i])[:, None] <= wide
-            measure[near & (np.abs(np.arange(len(rows)) - k)[None, :] <= wide)] = 0.0
+            measure[near & (np.abs(np.arange(len(rows)) - k)[None, :] <= wide)] = -math.inf
+
+    def _measured(self, passing: NDArray[np.bool_], drivers: Array, followers: Array) -> Array:
+        """Return how good pairs are by the quantity that ranks them, -inf of those that are not measured.
+
+        Lengths are known of all `passing` ones; else a grid of them is measured, and the ways from its best to better neighbours.
+        """
+        lengths, ranked = self._lengths(drivers, followers), self._ranked
+        if ranked is not None and (known := lengths.get(ranked.of or ranked.quantity)) is not None:
+            return np.where(passing, -self._sense * known, -math.inf)
+        good, seen = np.full(passing.shape, -math.inf), ~passing
+
+        def measured(i: int, k: int) -> float:
+            if not seen[i, k]:
+                seen[i, k] = True
+                crank, rocker = (link(points[row], pivots[row], self.curves.size) for row in (drivers[i], followers[k]))
+                found = self._judged(FourBarSolution(crank, rocker, self.curves.places, self.curves.angles))
+                if found is not None and found.solution.usable:
+                    good[i, k] = -self._rank(found.solution)
+            return float(good[i, k])
+
+        points, pivots = self.curves.dyads
+        places = np.argwhere(passing)
+        for i, k in places[:: max(1, len(places) // MEASURED)]:
+            measured(i, k)
+        shape: Array = np.array(good.shape)
+        for start in np.argsort(good, axis=None)[::-1][:CLIMBED]:
+            at = np.array(np.unravel_index(int(start), good.shape))
+            for step in STEPS:
+                while True:
+                    near = [(at + step * np.array(way)) % shape for way in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))]
+                    best = max(near, key=lambda one: measured(*one))
+                    if not measured(*best) > good[tuple(at)]:
+                        break
+                    at = best
+        self.sentence += f"; of {int(np.sum(good > -math.inf))} of these the {self._words} was measured"
+        return good
 
     def _transmission(self, every: Pairs) -> Array:
         """Return the least transmission angle [rad] over the range that the problem limits, as far as it is known."""
         return every.around if self.task.limits.transmission_range == "revolution" else every.transmission
 
-    def _inside(self, drivers: Array, followers: Array) -> Array:
-        """Return whether the lengths and pivots of pairs lie within their bounds (drivers, followers)."""
-        loop, quantities = self.task.four_bar, self.task.quantities
+    def _lengths(self, drivers: Array, followers: Array) -> dict[str, Array]:
+        """Return lengths and pivots [m] of pairs by name, "frame length" and "total length" too, (drivers, followers)."""
+        loop, (points, pivots) = self.task.four_bar, self.curves.dyads
         assert loop is not None
-        (points, pivots), size = self.curves.dyads, 1e-9 * self.curves.size
         b, a, e, c = points[drivers][:, None], pivots[drivers][:, None], points[followers], pivots[followers]
         named = dict(zip(loop.names, (np.abs(b - a), np.abs(e - b), np.abs(e - c)), strict=True))
         for place, at in zip(loop.pivots, (a, c), strict=True):
             parts = {place.length: np.abs(c - a)} if isinstance(place, Arm) else {place[0]: at.real, place[1]: at.imag}
             named |= {name: value for name, value in parts.items() if isinstance(name, str)}
-        ranges = [(value, *quantities[name].bounds) for name, value in named.items()]
+        total = np.abs(b - a) + np.abs(e - b) + np.abs(e - c) + np.abs(c - a)
+        return named | {FRAME_LENGTH: np.abs(c - a), "total length": total}
+
+    def _inside(self, drivers: Array, followers: Array) -> Array:
+        """Return whether the lengths and pivots of pairs lie within their bounds (drivers, followers)."""
+        named, quantities, size = self._lengths(drivers, followers), self.task.quantities, 1e-9 * self.curves.size
+        ranges = [(value, *quantities[name].bounds) for name, value in named.items() if name in quantities]
         if (frame := self.task.limits.frame_length) is not None:
-            ranges.append((np.abs(c - a), frame.low or 0.0, math.inf if frame.high is None else frame.high))
+            ranges.append((named[FRAME_LENGTH], frame.low or 0.0, math.inf if frame.high is None else frame.high))
         inside = np.ones((len(drivers), len(followers)), dtype=bool)
         for value, low, high in ranges:
             inside &= (value >= low - size) & (value <= high + size)
@@ -186,7 +236,7 @@ def four_bar_of_dyads(problem: AnyProblem, driver: int, follower: int) -> Synthe
         message, remedy = "only four poses of a four-bar with free timing are met by any two dyads", "Leave all dimensions free"
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()
-    targets = FourTargets(problem.variants(), (driver, follower))
+    targets = FourTargets(problem.variants(), chosen=(driver, follower))
     if not targets.found or targets.found[0].design is None:
         reasons = ", ".join(reason for one in targets.found for reason in one.solution.reasons) or DEFECTS[-1]
         message = f"the four-bar of these dyads does not pass the poses: {reasons}"

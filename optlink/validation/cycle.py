@@ -11,7 +11,8 @@ from optlink.dynamics.machine import Acting, Load, Machine, Moving, Parameters, 
 from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
 from optlink.linkage.extrema import distinct, extremes, maxima
 from optlink.linkage.motion import sweep
-from optlink.linkage.stroke import Travel, reachable, travels
+from optlink.linkage.singular import AlignedPosition
+from optlink.linkage.stroke import Ranges, Travel, reachable, travels
 from optlink.linkage.vector2d import TURN, Array, turn
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import stroke_ratio
@@ -45,12 +46,24 @@ class Cycle:
         self.design: dict[str, float] = problem.complete(design)
         self.machine = problem.machine(self.design)
         self.mechanism, self.speed = self.machine.mechanism, problem.driving.pace
-        ranges = reachable(self.mechanism, self.design)
-        self.complete, self.singular = ranges.complete, ranges.singular
         self.limits = self.mechanism.limits
         self.low, self.high = self.limits or (0.0, self.machine.cycle)
         self._figures: dict[Term, float] = {}
         self._back: dict[Term, bool] = {}
+
+    @cached_property
+    def _ranges(self) -> Ranges:
+        return reachable(self.mechanism, self.design)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the crank turns fully, or the drive moves through its range."""
+        return self._ranges.complete
+
+    @property
+    def singular(self) -> tuple[AlignedPosition, ...]:
+        """Singular positions."""
+        return self._ranges.singular
 
     @property
     def cycle(self) -> float:

@@ -99,6 +99,54 @@ def test_a_file_may_want_exact_designs_alone():
         optlink.solve(optlink.load("motion-3-poses").override({"requirement.exact": True}))
 
 
+def figures(result):
+    return [one.figure for one in result.exact_solutions.solutions if one.usable]
+
+
+def test_any_quantity_ranks_them(tmp_path):
+    """The total length against the sums of the sizes; the stroke of the rocker against steps through a revolution."""
+    file = optlink.load(POSES / "known-0.toml")
+    short = optlink.synthesis.exact(file, by="total length")
+    sums = [1e3 * sum(design.values[name] for name in ("crank", "coupler", "rocker", "frame")) for design in short.designs]
+    assert sums == sorted(sums)
+    assert figures(short) == pytest.approx(sums, rel=1e-12)
+    assert (short.exact_solutions.ranked_by, short.exact_solutions.unit) == ("total length of the links", "mm")
+    wide = optlink.synthesis.exact(file, by="maximise stroke of rocker")
+    strokes = []
+    for design in wide.designs:
+        turned = optlink.motion(design.machine, crank_angle=np.linspace(0.0, math.tau, 7201)).body_angle("rocker").value
+        strokes.append(math.degrees(np.ptp(np.unwrap(turned))))
+    assert strokes == sorted(strokes, reverse=True)
+    assert figures(wide) == pytest.approx(strokes, abs=1e-4)
+    stored = tmp_path / "result.json"
+    stored.write_text(json.dumps(wide.to_dict()), encoding="utf-8")
+    assert optlink.read_result(stored).exact_solutions == wide.exact_solutions
+    assert json.loads(stored.read_text())["exact_solutions"]["ranked_by"] == "stroke of rocker"
+
+
+def test_the_objective_of_the_file_ranks_them():
+    file = optlink.load(POSES / "known-0.toml")
+    asked = {"objective": {"quantity": "total length"}, "requirement.tolerance": "1 um", "requirement.exact": True}
+    stated = optlink.solve(file.override(asked))
+    assert figures(stated) == pytest.approx(figures(optlink.synthesis.exact(file, by="total length")), rel=1e-9)
+    weighted = {"terms": [{"quantity": "total length", "scale": "1 m"}, {"quantity": "length", "of": "crank", "scale": "10 mm"}]}
+    summed = optlink.synthesis.exact(file.override({"objective": weighted, "requirement.weight": 1.0}))
+    assert summed.exact_solutions.ranked_by == "objective"
+    names = ("crank", "coupler", "rocker", "frame")
+    sums = [sum(one.values[name] for name in names) + 100.0 * one.values["crank"] for one in summed.designs]
+    assert sums == sorted(sums)
+    assert figures(summed) == pytest.approx(sums, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("by", "cause"),
+    [("sugar", "not a quantity of the machine"), ("acceleration of Q", "no moving body"), ("least transmission angle", "joint")],
+)
+def test_an_unknown_quantity_is_told(by, cause):
+    with pytest.raises(optlink.InputError, match=cause):
+        optlink.synthesis.exact("motion-5-poses", by=by)
+
+
 def motion_of(sizes, phi, side):
     """Rocker angles [rad] and points P of a four-bar with frame 1, and its point at 0.4 along and 0.3 across."""
     names = dict(zip(("crank", "coupler", "rocker"), sizes, strict=True)) | {"frame": 1.0, "P.along": 0.4, "P.across": 0.3}
@@ -267,3 +315,6 @@ def test_the_command_lists_all():
     refused = invoke("solve", "motion-3-poses", "--all")
     assert refused.exit_code == 2
     assert invoke("solve", "motion-5-poses", "--all", "--starts", "20").exit_code == 2
+    assert invoke("solve", "motion-5-poses", "--by", "total length").exit_code == 2
+    ranked = invoke("solve", str(POSES / "known-0.toml"), "--all", "--by", "total length")
+    assert "total length of the links" in " ".join(ranked.stdout.split())

@@ -48,6 +48,29 @@ def test_bounds_and_limits_are_kept(best):
     assert "0.0% within the bounds" in none.exact_solutions.sentence
 
 
+def test_any_quantity_ranks_the_pairs(monkeypatch):
+    """The least total length of all pairs, against the lengths of the dyads themselves."""
+    curves = optlink.synthesis.dyad_curves(PROBLEM)
+    found = optlink.synthesis.exact(PROBLEM, by="total length").exact_solutions
+    best = found.solutions[0]
+    assert best.usable
+    rows = np.flatnonzero(np.isfinite(curves.points[:, 0]))[::3]
+    drivers = rows[curves.in_order[rows]]
+    every = curves.partners(drivers, rows)
+    b, a, e, c = curves.points[drivers][:, None], curves.pivots[drivers][:, None], curves.points[rows], curves.pivots[rows]
+    parts = [np.linalg.norm(one - other, axis=-1) for one, other in ((a, b), (b, e), (e, c), (c, a))]
+    total = np.where((every.defect == 0) & every.turns & (every.around >= math.radians(30.0)), 1e3 * sum(parts), np.inf)
+    total[np.any([(part < 0.01) | (part > 0.4) for part in np.broadcast_arrays(*parts)], axis=0)] = np.inf
+    assert best.figure == pytest.approx(total.min(), rel=0.05)
+    figures = [one.figure for one in found.solutions if one.usable]
+    assert figures == sorted(figures)
+    monkeypatch.setattr("optlink.tasks.four_poses.MEASURED", 8)
+    monkeypatch.setattr("optlink.tasks.four_poses.CLIMBED", 1)
+    fast = optlink.synthesis.exact(PROBLEM, by="peak velocity of P").exact_solutions
+    assert "was measured" in fast.sentence
+    assert fast.solutions[0].figure <= min(one.figure for one in fast.solutions if one.usable)
+
+
 def test_a_chain_of_dyads_has_the_same_four_bars(best):
     written = optlink.synthesis.exact(as_dyads(optlink.load(PROBLEM)))
     angles = [[design.least_transmission for design in result.designs] for result in (best, written)]

@@ -47,7 +47,7 @@ from optlink.solvers.solution import LimitState, Relaxation
 from optlink.tasks.results.certificate import MOST_DRAWN, Certificate, Cover, share_text
 from optlink.tasks.results.common import Evidence
 from optlink.tasks.results.conflict import OpposedLimit, opposed_limits, outward
-from optlink.tasks.results.exact import DEFECTS
+from optlink.tasks.results.exact import BY_TRANSMISSION, DEFECTS
 from optlink.tasks.results.fit import Fit
 from optlink.tasks.results.rounding import Influence, Rounding
 from optlink.units import percent
@@ -537,12 +537,14 @@ def exact_solutions(outcome: SynthesisResult) -> TableSpec | None:
         return None
     model, rows = outcome.problem.model, list[Row]()
     names = [name for name in model.free if model.quantities[name].kind == "length"][:MAX_VARIABLES]
+    by = "" if found.ranked_by == BY_TRANSMISSION else f"{found.ranked_by} [{found.unit}]".removesuffix(" []")
     for k, one in enumerate(found.solutions[:MOST_EXACT], start=1):
         sizes = [number(one.values[name] * model.display(name)[0], 4) for name in names]
         angle, others = fixed(math.degrees(one.transmission), 1), len(one.reasons) - MOST_REASONS
         reasons = ", ".join(one.reasons[:MOST_REASONS]) + (f" and {others} more" if others > 0 else "")
-        rows.append((str(k), *sizes, angle, Span(reasons) if one.reasons else good("usable")))
-    columns = [">", *(f">{name}" for name in names), ">angle", "usable, or why not"]
+        ranked = ["–" if one.figure is None else number(one.figure, 4)] if by else []
+        rows.append((str(k), *sizes, *ranked, angle, Span(reasons) if one.reasons else good("usable")))
+    columns = [">", *(f">{name}" for name in names), *([f">{by}"] if by else []), ">angle", "usable, or why not"]
     units = joined(sorted({model.display(name)[1] for name in names}))
     notes = [f"sizes in {units}; transmission angle from 0 or 180 deg: least over the motion if usable, else at the targets"]
     notes += [f"{name}: {words}" for name, words in DEFECTS.items() if any(name in one.reasons for one in found.solutions)]

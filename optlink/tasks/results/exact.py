@@ -14,6 +14,7 @@ DEFECTS = {
     "order": "the crank passes them in another order",
 }
 """Defects of a linkage that meets all targets, and their meaning."""
+BY_TRANSMISSION = "transmission angle"
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class ExactSolution:
     """A linkage that meets all targets: dimensions [SI], assembly mode, and the least distance [rad] of its transmission angle
     from 0 and 180 deg, over the required motion if it is usable, else at the targets.
 
-    `certified`: its dyads are proven to be real; `reasons`: what excludes it: its `DEFECTS`, else checks that it fails.
+    `certified`: its dyads are proven to be real; `reasons`: what excludes it: its `DEFECTS`, else checks that it fails; `figure`:
+    the quantity by which they are ranked, in its display unit, of one without a defect.
     """
 
     values: Mapping[str, Number]
@@ -29,6 +31,7 @@ class ExactSolution:
     transmission: Number
     certified: bool
     reasons: tuple[str, ...]
+    figure: Number | None = None
 
     @property
     def usable(self) -> bool:
@@ -38,7 +41,7 @@ class ExactSolution:
 
 @dataclass(frozen=True)
 class ExactSolutions:
-    """All linkages that meet the targets, usable ones first.
+    """All linkages that meet the targets, usable ones first, ranked by a quantity (`ranked_by`, with its `unit`), the best first.
 
     `real`, `certified`, `complex`: numbers of roots of the equations, of which there are `roots`; `sliders`: those that are no
     links of finite length; `special`: a sentence about targets with infinitely many solutions, of which the best ones are listed,
@@ -57,6 +60,8 @@ class ExactSolutions:
     linkage: str = "four-bar"
     roots: int = 4
     counted: str = "roots"
+    ranked_by: str = BY_TRANSMISSION
+    unit: str = "deg"
 
     @property
     def usable(self) -> int:
@@ -94,9 +99,10 @@ class ExactSolutions:
 
 def document(found: ExactSolutions, displayed: Callable[[Mapping[str, float]], Mapping[str, float]]) -> dict[str, Any]:
     """Return the solutions as part of a JSON document, their dimensions `displayed` in units."""
-    shown = ("task", "linkage", "roots", "real", "certified", "complex", "sliders", "complete", "special", "usable")
+    counts = ("roots", "real", "certified", "complex", "sliders", "complete", "special", "usable")
+    shown = ("task", "linkage", *counts, "ranked_by", "unit")
     solutions = [
-        {name: getattr(one, name) for name in ("usable", "reasons", "certified", "assembly")}
+        {name: getattr(one, name) for name in ("usable", "reasons", "certified", "assembly", "figure")}
         | {"transmission_deg": math.degrees(one.transmission), "design": displayed(one.values)}
         for one in found.solutions
     ]
