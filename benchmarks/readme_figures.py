@@ -458,6 +458,7 @@ FIGURES = [
 
 BLOCKS = [
     Block("README.md", "Crank-rocker that reproduces", LAW),
+    Block("README.zh.md", "Crank-rocker that reproduces", LAW),
     Block("docs/studies.md", "Sensitivity to prescribed values", "study sensitivity crank-rocker --check"),
     Block("docs/studies.md", "cutting.force 5880 N + 1 %", "study sensitivity shaper-design --check"),
     Block(

@@ -23,7 +23,7 @@ __all__, __getattr__, __dir__ = namespace(
     optlink.problem.templates: new
     optlink.studies.sweeps: sweep
     optlink.studio: explore
-    optlink.tasks.analyze: Analysis analyze analyze_batch motion
+    optlink.tasks.analyze: Analysis BatchAnalysis analyze analyze_batch motion
     optlink.tasks.balance: balance
     optlink.tasks.derivatives: gradient hessian
     optlink.tasks.programme: Programme build

@@ -33,7 +33,13 @@ from optlink.problem.own_terms import limit as limit, objective as objective
 from optlink.problem.templates import new as new
 from optlink.studies.sweeps import sweep as sweep
 from optlink.studio import explore as explore
-from optlink.tasks.analyze import Analysis as Analysis, analyze as analyze, analyze_batch as analyze_batch, motion as motion
+from optlink.tasks.analyze import (
+    Analysis as Analysis,
+    BatchAnalysis as BatchAnalysis,
+    analyze as analyze,
+    analyze_batch as analyze_batch,
+    motion as motion,
+)
 from optlink.tasks.balance import balance as balance
 from optlink.tasks.derivatives import gradient as gradient, hessian as hessian
 from optlink.tasks.programme import Programme as Programme, build as build

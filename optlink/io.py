@@ -20,7 +20,7 @@ import threading
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from optlink.errors import InputError, UnknownName, nearest
 from optlink.version import VERSION
@@ -350,6 +350,19 @@ class Summary:
         for item in dataclasses.fields(self):  # type: ignore[arg-type]
             if type(value := getattr(self, item.name)) is dict:
                 object.__setattr__(self, item.name, Frozen({key: _read_only(entry) for key, entry in value.items()}))
+
+    if not TYPE_CHECKING:  # a type checker knows the names
+
+        def __getattr__(self, name: str) -> Any:
+            """Refuse an unknown name with the closest one, and repeat the error of a property that failed."""
+            from difflib import get_close_matches
+
+            if hasattr(type(self), name):
+                return object.__getattribute__(self, name)
+            known = [*dir(type(self)), *type(self).__dataclass_fields__]
+            close = get_close_matches(name, (one for one in known if not one.startswith("_")), n=1)
+            hint = f'. Did you mean "{close[0]}"?' if close else ""
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}{hint}", name=name, obj=self)
 
     def __repr__(self) -> str:
         words = [str(getattr(self, "status", ""))]

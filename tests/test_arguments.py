@@ -352,7 +352,10 @@ def test_options_of_a_dictionary_are_arguments_that_keep_their_defaults_if_they_
         (lambda: sweep(CLEARANCE, SPEEDS, simulate={"turns": 3}), "turns = 3: unknown"),
         (lambda: linkage.four_bar(crank=0.1), r"crank = 0\.1: unknown argument of four_bar\. Give sizes to sweep\(mechanism, \{"),
         (lambda: linkage.four_bar(sides=1), r'sides = 1: unknown argument of four_bar\. Did you mean "side"'),
-        (lambda: linkage.four_bar(0.2, 0.7, 0.6, 0.8), "four_bar takes at most 2 arguments without a name. Known: side, points"),
+        (
+            lambda: linkage.four_bar(0.2, 0.7, 0.6, 0.8),
+            r"four_bar takes at most 2 arguments without a name\. Give sizes to sweep\(",
+        ),
         (lambda: linkage.sweep(linkage.four_bar(), SIZES), "crank_angle: sweep needs this argument. Known: mechanism, sizes"),
         (lambda: linkage.sweep(linkage.four_bar(), SIZES, [0.1], spead=3), 'unknown argument of sweep. Did you mean "speed"'),
         (lambda: linkage.grashof(0.2, 0.7, 0.6), "frame: grashof needs this argument"),
@@ -362,6 +365,13 @@ def test_unknown_and_missing_arguments_are_refused_in_one_sentence(call, message
     with pytest.raises(InputError, match=message) as caught:
         call()
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_the_motion_is_that_at_one_angle_too() -> None:
+    one, same = (optlink.motion(MACHINE, angle).position("B") for angle in (0.5, [0.5]))
+    np.testing.assert_array_equal(one, same)
+    with pytest.raises(InputError, match="crank_angle = true: not an array of numbers"):
+        optlink.motion(MACHINE, True)
 
 
 def test_a_missing_name_has_what_python_needs_to_suggest_a_similar_one() -> None:

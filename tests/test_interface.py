@@ -93,12 +93,29 @@ def test_every_result_is_valid_or_not_and_says_how_it_ended(result: Document) ->
     assert ("not valid" in repr(result)) is not result.valid
 
 
-@pytest.mark.parametrize(("kind", "former"), [("analysis", "sound"), ("simulation", "finished"), ("sweep", "successful")])
+@pytest.mark.parametrize(
+    ("kind", "former"), [("analysis", "sound"), ("simulation", "finished"), ("sweep", "successful"), ("sweep", "complete")]
+)
 def test_a_member_of_a_former_name_warns(kind: str, former: str) -> None:
     result = RESULTS[kind]()
     with pytest.warns(DeprecationWarning, match=rf"\.{former} is now valid$") as caught:
         assert getattr(result, former) == result.valid
     assert caught[0].filename == __file__
+
+
+def test_an_unknown_member_of_a_result_is_named_with_the_closest_one() -> None:
+    result = RESULTS["design"]()
+    with pytest.raises(AttributeError, match=r"^SynthesisResult has no attribute 'desgin'\. Did you mean \"design\"\?$"):
+        _ = result.desgin  # type: ignore[attr-defined]
+    with pytest.raises(AttributeError, match=r"no attribute 'zzz'$"):
+        _ = result.zzz  # type: ignore[attr-defined]
+
+
+def test_a_property_that_fails_is_not_called_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = RESULTS["design"]()
+    monkeypatch.setattr(type(result), "figures", property(lambda result: result.best.nothing))
+    with pytest.raises(AttributeError, match="LinkageDesign has no attribute 'nothing'"):
+        _ = result.figures  # type: ignore[attr-defined]
 
 
 def test_every_result_is_plotted(result: Document) -> None:

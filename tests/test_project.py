@@ -78,6 +78,7 @@ def test_a_file_that_does_not_exist_is_detected():
 def test_a_decision_is_short_and_names_what_repeats_its_figures(page):
     text = text_of(page)
     assert len(text.splitlines()) <= 40
+    assert re.match(r"(?:Accepted|Replaced by \[.+\]\(.+\)), \d{4}-\d\d-\d\d[.,]", text.splitlines()[2])
     assert re.findall(r"^\*\*(\w+)\.\*\*", text, re.MULTILINE) == ["Context", "Decision", "Figures", "Consequences"]
     assert f"[{text.splitlines()[0].removeprefix('# ')}]({page.name})" in text_of(page.parent / "index.md")
     for file in re.findall(r"(?:tests|benchmarks|docs|optlink)/[\w/]+\.\w+", text):

@@ -20,8 +20,8 @@ from optlink.namespace import by_name
 
 PUBLIC = {
     "optlink": """
-        Analysis AnyProblem Balance DesignResult Document Execution InputError LinkageDesign OptlinkError ProblemFile Programme
-        Result Simulation SolverError Status SynthesisResult UnknownName
+        Analysis AnyProblem Balance BatchAnalysis DesignResult Document Execution InputError LinkageDesign OptlinkError
+        ProblemFile Programme Result Simulation SolverError Status SynthesisResult UnknownName
         analyze analyze_batch balance build explore export gradient hessian load motion new read read_design read_result report
         shipped simulate
         limit objective solve sweep validate

@@ -35,6 +35,15 @@ def test_both_languages_have_the_same_two_commands_and_link_to_each_other():
     assert "](README.md)" in readme.page("README.zh.md")
 
 
+@pytest.mark.parametrize("language", ["text", "toml", "python"])
+def test_both_languages_have_the_same_examples(language):
+    """Output, problem file and program, apart from remarks."""
+    english, chinese = (
+        re.search(rf"```{language}\n(.*?)```", readme.page(name), re.DOTALL)[1] for name in ("README.md", "README.zh.md")
+    )
+    assert re.sub(r" *#.*", "", english) == re.sub(r" *#.*", "", chinese)
+
+
 def test_quoted_words_are_on_their_pages():
     assert len(readme.FIGURES) > 60
     for figure in readme.FIGURES:

@@ -73,7 +73,8 @@ def _faults_of_call(
         if name not in parameters
     ]
     twice = [Fault(f"given twice to {function}", "Give it once", key=name) for name in names[:count] if name in kwargs]
-    many = [Fault(f"{function} takes at most {places} arguments without a name", remedy)] if count > places else []
+    other = next(iter(elsewhere.values()), remedy)
+    many = [Fault(f"{function} takes at most {places} arguments without a name", other)] if count > places else []
     missing = [
         Fault(f"{function} needs this argument", remedy, key=name)
         for name in names[count:]

@@ -11,6 +11,7 @@ from typing import Annotated, Any, ParamSpec, TypeVar
 
 import numpy as np
 import pydantic
+from numpy.typing import ArrayLike
 
 from optlink.errors import OPTIONS_NAMED, Fault, InputError
 from optlink.linkage.arguments import bind
@@ -87,7 +88,8 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
 def _hints(function: Callable[..., Any], names: Iterable[str]) -> dict[str, Any]:
     """Return the types of arguments of a function."""
     annotations = {name: function.__annotations__[name] for name in names}
-    return typing.get_type_hints(types.SimpleNamespace(__annotations__=annotations), function.__globals__)
+    numbers = {"ArrayLike": ArrayLike | float}  # pydantic takes its complex for complex numbers alone
+    return typing.get_type_hints(types.SimpleNamespace(__annotations__=annotations), function.__globals__, numbers)
 
 
 DEFAULTS = {"engine": "local"}

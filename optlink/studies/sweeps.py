@@ -33,6 +33,7 @@ CHANGED = "active_set_changed"
 MAX_ROWS = 200_000  # rows up to which a document contains the table, and a page shows all of it
 BLOCK_ROWS = 10_000  # rows of a table that are read at a time
 LISTED_CHANGES = 200  # active-set changes listed in a result; the table marks all
+COMPLETE = "complete"  # status of a sweep with a valid result at every point
 TEXT = ("status", "failed", "active", "method", "reason")
 
 
@@ -250,17 +251,13 @@ class Sweep(GridStudy):
         """Whether designs were analysed or simulated instead of optimised."""
         return self.mode != OPTIMISE
 
-    @property
-    def complete(self) -> bool:
-        """Whether every point has a validated optimum, or all requested figures."""
-        return self.valid_points == self.grid.count
-
+    complete = Renamed("valid")
     successful = Renamed("valid")
 
     @property
     def valid(self) -> bool:
         """Whether the sweep is usable: every optimum validated; for an analysis, at least one valid point."""
-        return self.complete or (self.evaluated and self.valid_points > 0)
+        return self.status == COMPLETE or (self.evaluated and self.valid_points > 0)
 
     @property
     def infeasible(self) -> int:
@@ -269,8 +266,10 @@ class Sweep(GridStudy):
 
     @property
     def status(self) -> str:
-        """Whether every point is valid, in words."""
-        return "complete" if self.complete else "not valid everywhere" if self.valid_points else "not valid anywhere"
+        """Whether every point has a validated optimum, or all requested figures, in words."""
+        if self.valid_points == self.grid.count:
+            return COMPLETE
+        return "not valid everywhere" if self.valid_points else "not valid anywhere"
 
 
 @typed

@@ -17,7 +17,7 @@ from optlink.dynamics.inverse import acting_on, depends_on_sense
 from optlink.dynamics.machine import Machine, slider_names
 from optlink.dynamics.strokes import StrokeLoad, acting_loads
 from optlink.dynamics.work import Flywheel, Work, flywheel
-from optlink.errors import InputError
+from optlink.errors import InputError, UnknownName, nearest
 from optlink.linkage.arguments import check_array, sweep as checked_sweep
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.extrema import distinct, extremes_of_rows
@@ -700,26 +700,38 @@ def motion(
     return moved
 
 
-class Columns(dict[str, Array]):
-    """Columns by name, arrays (designs, points) of as many designs as `valid` has entries.
+class BatchAnalysis(dict[str, Array]):
+    """Columns of an analysis by name, arrays (designs, points) of as many designs of `problem` as `valid` has entries.
 
     `valid` (designs,): whether a design can be assembled at every crank angle and its motion is determined; `singular`: message
     by design index where the motion is not determined; `designs`: what was varied, arrays (designs,) [SI] by name with SI unit;
     `notes`: what holds for all designs, as in `Analysis.notes`.
     """
 
-    def __init__(self, count: int = 0, designs: Mapping[str, Array] | None = None) -> None:
+    def __init__(self, problem: ProblemFile, count: int, designs: Mapping[str, Array]) -> None:
         super().__init__()
+        self.problem = problem
         self.valid = np.zeros(count, dtype=bool)
         self.singular: dict[int, str] = {}
-        self.designs = dict(designs or {})
+        self.designs = dict(designs)
         self.notes: list[str] = []
 
-    def to_frame(self) -> pandas.DataFrame:
+    def __repr__(self) -> str:
+        return f"<BatchAnalysis {self.problem.name!r}: {len(self.valid)} designs, {', '.join(self)}>"
+
+    def __missing__(self, name: str) -> Array:
+        raise UnknownName(f"no column {name}", nearest(str(name), self))
+
+    def to_frame(self, *, units: str = "SI") -> pandas.DataFrame:
         """Return a data frame of pandas with a row per design: its sizes, `valid`, then least, largest and rms of each column.
 
         Their names end in ".min", ".max" and ".rms"; those of a design that is not valid are NaN where a value is.
         `frame.attrs["units"]` has the unit of each column with one.
+
+        Parameters
+        ----------
+        units : "SI" or "file"
+            As in `Document.to_frame`.
 
         Raises
         ------
@@ -730,7 +742,7 @@ class Columns(dict[str, Array]):
         for name, values in self.items():
             table[f"{name}.min"], table[f"{name}.max"] = np.min(values, axis=1), np.max(values, axis=1)
             table[f"{name}.rms"] = np.sqrt(np.mean(np.square(values), axis=1))
-        frame: pandas.DataFrame = reports("interface").frame_of(table)
+        frame: pandas.DataFrame = reports("interface").in_frame(table, self.problem, units)
         return frame
 
 
@@ -741,7 +753,7 @@ def analyze_batch(
     columns: Sequence[str] | None = None,
     points: int = 360,
     speed: float | None = None,
-) -> Columns:
+) -> BatchAnalysis:
     """Analyse many designs of a machine at once and return selected columns.
 
     Parameters
@@ -762,7 +774,7 @@ def analyze_batch(
 
     Returns
     -------
-    Columns
+    BatchAnalysis
         Arrays (designs, points of all revolutions) by name; `valid` marks the designs that can be assembled everywhere, `notes`
         says where there are no forces, and `to_frame()` has a row for each design. A value is NaN where the design cannot be
         assembled. All values of a design are NaN if a load acts in the slow stroke and the design has none, or if the motion is
@@ -798,7 +810,8 @@ def analyze_batch(
     for name in columns:
         check_choice("columns", name, available, "no such column", problem.file)
     kinds = problem.model.mechanism.quantities
-    result = Columns(count, {f"{name}_{KINDS[kinds[name].kind].si}".rstrip("_"): values for name, values in arrays.items()})
+    sizes = {f"{name}_{KINDS[kinds[name].kind].si}".rstrip("_"): values for name, values in arrays.items()}
+    result = BatchAnalysis(problem, count, sizes)
     result.update({name: np.empty((count, len(angles))) for name in columns})
     result.notes += _force_notes(given)
     samples = angles

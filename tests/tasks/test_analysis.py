@@ -939,7 +939,7 @@ def test_angles_of_a_long_table_are_continuous_over_its_blocks():
 
 def test_a_batch_marks_the_designs_that_close_and_has_a_row_for_each() -> None:
     lengths = {"coupler.length": [0.14, 1e-4, 0.16]}  # the second one closes nowhere
-    batch = optlink.analyze_batch("shaper", lengths, ["input.torque_Nm", "B.x_m"])
+    batch = optlink.analyze_batch("shaper", lengths, ["input.torque_Nm", "crank.angle_rad"])
     assert batch.valid.tolist() == [True, False, True]
     frame = batch.to_frame()
     assert frame["valid"].tolist() == batch.valid.tolist()
@@ -951,3 +951,9 @@ def test_a_batch_marks_the_designs_that_close_and_has_a_row_for_each() -> None:
     assert frame["input.torque_Nm.rms"][2] == pytest.approx(np.sqrt(np.mean(torque[2] ** 2)))
     assert frame["input.torque_Nm.max"].isna().tolist() == [False, True, False]
     assert frame.attrs["units"]["input.torque_Nm.rms"] == "N m"
+    in_file = batch.to_frame(units="file")
+    assert in_file["crank.angle_deg.max"].tolist()[::2] == np.degrees(frame["crank.angle_rad.max"]).tolist()[::2]
+    assert in_file.attrs["units"]["crank.angle_deg.max"] == "deg"
+    with pytest.raises(optlink.UnknownName, match=r'no column input\.torque.*Did you mean "input\.torque_Nm"'):
+        _ = batch["input.torque"]
+    assert repr(batch) == "<BatchAnalysis 'shaper': 3 designs, input.torque_Nm, crank.angle_rad>"

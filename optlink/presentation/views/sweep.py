@@ -54,7 +54,7 @@ from optlink.presentation.views.revolutions import runs
 from optlink.problem.file import ProblemFile
 from optlink.studies.grid import Axis, column_name
 from optlink.studies.sweep_task import FIGURES
-from optlink.studies.sweeps import CHANGED, MAX_ROWS, TEXT, Sweep
+from optlink.studies.sweeps import CHANGED, COMPLETE, MAX_ROWS, TEXT, Sweep
 
 MAX_LISTED = 12  # largest number of active-set changes and of points listed
 MAX_COLUMNS = 5  # largest number of quantities side by side
@@ -143,7 +143,7 @@ def page(result: Sweep) -> StoredStudy:
         by = f"{'simulation' if result.mode == 'simulate' else 'analysis'} of every point"
     else:
         counted_points = f"{result.valid_points:,} points verified, {result.grid.count - result.valid_points:,} not"
-        counted = "every point a verified local optimum" if result.complete else counted_points
+        counted = "every point a verified local optimum" if result.status == COMPLETE else counted_points
         by = f"a local optimum at every point, verified by the validator; {searches(result)}"
     return StoredStudy(
         problem=problem,
@@ -425,7 +425,10 @@ def overview(result: Sweep) -> Summary:
     every = " x ".join(f"{len(axis.values):,}" for axis in result.grid.axes)
     counted = points(result.grid.count) + (f" ({every})" if len(result.grid.axes) > 1 else "")
     conflict = "Conflicting limits at a point without a design: `optlink solve` with --set at that point"
-    status = [(f"{counted}, ", verdict(_point_counts(result), result.complete)), *([conflict] if result.infeasible else [])]
+    status = [
+        (f"{counted}, ", verdict(_point_counts(result), result.status == COMPLETE)),
+        *([conflict] if result.infeasible else []),
+    ]
     axes = []
     for axis in result.grid.axes:
         ends = dict.fromkeys(f"{end:g}" for end in (min(axis.values), max(axis.values)))
@@ -462,7 +465,7 @@ def searches(result: Sweep) -> str:
 def _point_counts(result: Sweep) -> str:
     """Count the points by outcome."""
     if not result.evaluated:
-        if result.complete:
+        if result.status == COMPLETE:
             return "every point a verified local optimum"
         missed = result.grid.count - result.valid_points - result.infeasible
         counts = {"verified": result.valid_points, "without a feasible design": result.infeasible, "not verified": missed}

@@ -163,7 +163,7 @@ class DesignResult(Result, Protocol):
 
     @property
     def design(self) -> Mapping[str, float]:
-        """Design variables, or all quantities, of the best design by name [SI]."""
+        """Quantities of the best design [SI] by the names that arguments `design` have too, empty without one; see `machine`."""
         ...
 
     @property
