@@ -66,6 +66,9 @@ GRID = 1440
 TOUCHING = math.sin(SINGULAR_ALIGNMENT) ** 2
 """Alignment (a squared sine) up to which a position is singular; a negative one of that size is rounding."""
 
+STRIDE = math.radians(10.0)
+"""Angle [rad] by which a body turns between two of the positions at which most designs are seen to be clear of singular ones."""
+
 _STILL = 1e-12  # rate of an alignment over the crank angle that is rounding
 _ASIDE = 1e-3  # [rad]: so far on either side of a least alignment the alignment is larger
 
@@ -196,3 +199,28 @@ def near_singular(pose: Pose, crank_angle: Array) -> NDArray[np.bool_]:
             least = np.where(rates * step < 0.0, np.where(rates_after * step > 0.0, sines + rates * along, sines), sines)
             near |= np.any((least <= TOUCHING) & (sines >= -TOUCHING) & (after >= -TOUCHING), axis=1)
     return near
+
+
+def strides(pose: Pose, crank_angle: Array) -> Array:
+    """Return those crank angles [rad] of a pose between which no body turns much further than `STRIDE`; all if it has gaps."""
+    with np.errstate(all="ignore"):
+        parts = (map(as_jet, pose.direction(body)) for body in pose.mechanism.bodies)
+        turns = [np.hypot(*(np.diff(np.broadcast_to(part.value, crank_angle.shape)) for part in pair)) for pair in parts]
+    travel = np.append(0.0, np.cumsum(np.max(turns, axis=0)))
+    if not np.isfinite(travel[-1]):
+        return crank_angle
+    marks = np.linspace(0.0, travel[-1], 2 + math.ceil(travel[-1] / STRIDE))
+    return np.asarray(crank_angle[np.unique(np.searchsorted(travel, marks))])
+
+
+def clear_of_singular(pose: Pose) -> NDArray[np.bool_]:
+    """Return which designs (designs,) are clear of singular positions, from the alignment of their groups at `strides`.
+
+    It would have to fall to zero and rise again between two of them, faster than it changes between any two.
+    """
+    clear = np.ones(1, dtype=bool)
+    with np.errstate(all="ignore"):
+        for group in pose.mechanism.groups:
+            sines = np.atleast_2d(as_jet(group.alignment(pose)).value)
+            clear = clear & (np.min(sines, axis=1) - np.max(np.abs(np.diff(sines)), axis=1, initial=0.0) > TOUCHING)
+    return clear

@@ -138,9 +138,9 @@ def _nearest_key(path: list[str | int], model: type[Problem], raw: Mapping[str, 
     key = str(path[-1])
     deeper = keys_ending(raw, key) if len(path) == 1 else []
     if not deeper and len(path) < 3:
-        sections = [name for name in ("mechanism", "requirement", "limits") if name in model.model_fields]
-        if path[0] != "limits" and not keys_ending(raw, f"drive.{key}"):  # a limit of a torque is no torque of the drive
-            sections.append("drive")
+        sections = [name for name in ("mechanism", "requirement", "limits", "drive") if name in model.model_fields]
+        if path[0] == "limits" or keys_ending(raw, f"drive.{key}"):  # a limit of a torque is no torque of the drive
+            sections.remove("drive")
         deeper = [f"{name}.{key}" for name in sections if name != path[0] and key in known_keys((name,), model)]
     remedy = nearest(key, _known(tuple(path[:-1]), model, raw), deeper)
     if path[0] == "limits" and len(path) == 2 and model is DesignProblem:

@@ -22,7 +22,7 @@ from optlink.linkage.arguments import check_array, sweep as checked_sweep
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.extrema import distinct, extremes_of_rows
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.singular import AlignedPosition, near_singular, positions_text
+from optlink.linkage.singular import AlignedPosition, clear_of_singular, near_singular, positions_text, strides
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, reachable, travels, within_cycle
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.arguments import typed
@@ -817,6 +817,7 @@ def analyze_batch(
     samples = angles
     if points < SAMPLES and limits is None:
         samples = problem.model.driving.first + TURN * np.arange(revolutions * SAMPLES) / SAMPLES
+    few = strides(given.mechanism.at(given.sizes, samples), samples)
     step = 1 if follows else max(1, BLOCK_SIZE // points)
     for first in range(0, count, step):
         for part, defined in _by_slow_stroke(problem, arrays, np.arange(first, min(first + step, count)), single=follows):
@@ -829,24 +830,34 @@ def analyze_batch(
             for name in columns:
                 result[name][part] = record[name]
             result.valid[part] = np.all(np.broadcast_to(record.moving.motion.assembled, (len(part), len(angles))), axis=1)
-            result.singular |= _singular(problem.model.driving, machine, part, samples)
+            result.singular |= _singular(problem.model.driving, machine, part, few, samples)
     for name in columns:
         result[name][list(result.singular)] = np.nan
     result.valid[list(result.singular)] = False
     return result
 
 
-def _singular(driving: Driving, machine: Machine, part: NDArray[np.intp], angles: Array) -> dict[int, str]:
-    """Return for designs whose motion is not determined, by index, the reason."""
-    suspects = near_singular(sweep(machine.mechanism, machine.sizes, angles).pose, angles)
-    reasons = {}
-    for k in np.flatnonzero(suspects):
-        sizes = {name: float(np.ravel(size)[k if np.size(size) > 1 else 0]) for name, size in machine.sizes.items()}
-        singular = reachable(machine.mechanism, sizes).singular
+def _singular(driving: Driving, machine: Machine, part: NDArray[np.intp], few: Array, angles: Array) -> dict[int, str]:
+    """Return for designs whose motion is not determined, by index, the reason; `few` crank angles clear most of them."""
+    mechanism, numbers, reasons = machine.mechanism, np.arange(len(part)), {}
+
+    def sizes(some: NDArray[np.intp]) -> dict[str, Value]:
+        return {name: np.asarray(size)[some] if np.size(size) > 1 else size for name, size in machine.sizes.items()}
+
+    def unclear(some: NDArray[np.intp]) -> NDArray[np.bool_]:
+        return ~clear_of_singular(mechanism.at(sizes(some), few))
+
+    def near(some: NDArray[np.intp]) -> NDArray[np.bool_]:
+        return near_singular(sweep(mechanism, sizes(some), angles).pose, angles)
+
+    for suspect, count in ((unclear, len(few)), (near, len(angles))):
+        blocks = np.array_split(numbers, math.ceil(len(numbers) * count / BLOCK_SIZE) or 1)
+        numbers = np.concatenate([some[np.broadcast_to(suspect(some), some.shape)] for some in blocks if some.size] or [numbers])
+    for k in numbers:
+        singular = reachable(mechanism, {name: float(np.ravel(size)[0]) for name, size in sizes(np.array([k])).items()}).singular
         if singular:
-            reasons[int(part[k])] = (
-                f"singular position at {positions_text(singular, driving.text)}: the motion beyond it is not determined"
-            )
+            where = positions_text(singular, driving.text)
+            reasons[int(part[k])] = f"singular position at {where}: the motion beyond it is not determined"
     return reasons
 
 

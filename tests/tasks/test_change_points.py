@@ -476,6 +476,21 @@ def test_batch_leaves_out_designs_whose_motion_is_not_determined():
         np.testing.assert_allclose(followed[name][0], np.tile(result[name][0], 2), rtol=1e-9)
 
 
+def test_batch_finds_a_singular_position_within_a_short_stroke():
+    """A boom of 0.5 m lies in line with its cylinder of 1.5 m within 0.1 s of a cycle of 10 s, and rests in all others."""
+    law = [{"time": f"{time} s", "to": f"{to} m"} for time, to in ((9.9, 1.2), (0.05, 1.5), (0.05, 1.2))]
+    mechanism = {
+        "ground": {"A": ["0 m", "0 m"], "D": ["1 m", "0 m"]},
+        "links": {"boom": {"joints": ["A", "B"], "length": "0.55 m"}},
+        "cylinders": {"lift": {"joints": ["D", "B"], "closed": "1 m", "open": "1.5 m"}},
+        "assembly": {"B": "left of A-D"},
+    }
+    machine = optlink.read({"mechanism": mechanism, "drive": {"cylinder": "lift", "start": "1.2 m", "law": law}})
+    found = optlink.analyze_batch(machine, {"boom.length": [0.5, 0.5005, 0.6]}, ["boom.omega_rad_s"], points=8)
+    assert list(found.singular) == [0]
+    assert list(found.valid) == [False, True, True]
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -224,6 +224,45 @@ def test_elastic_stop_holds_the_forearm_until_the_shoulder_throws_it_off():
     balanced(run)
 
 
+# --- published mechanisms with freedoms ----------------------------------------------------------------------------------------
+
+PUBLISHED = {file.stem: file for file in (FILES.parent / "free").glob("*.toml")}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_energy_of_a_published_mechanism_balances(name):
+    run = optlink.simulate(optlink.load(PUBLISHED[name]), duration=0.5, rows=20)
+    assert run.ending is Ending.FINISHED
+    assert run.figures["turnover_J"] > 0.1
+    balanced(run)
+
+
+def excited(t, q, w):
+    """The rod, whose centroid lies at its end, beneath a pivot with a vertical law."""
+    return -0.3 * 0.5 * math.cos(q) * (G - 0.1 * (8.0 * math.pi) ** 2 * math.sin(8.0 * math.pi * t)) / (0.3 * 0.25 + 0.005)
+
+
+def sprung(t, s, v):
+    """The mass on the spring from a slider 0.2 m and 0.5 m from the crank pivot."""
+    phi, w = 2.0 * math.pi * t, 2.0 * math.pi
+    root = math.sqrt(0.25 - (0.2 * math.sin(phi)) ** 2)
+    slider, speed = 0.2 * math.cos(phi) + root, -0.2 * w * math.sin(phi) * (1.0 + 0.2 * math.cos(phi) / root)
+    return 400.0 * (0.2 - (s - slider)) - 2.0 * (v - speed)
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "bend", "start"),
+    [
+        ("excited-pendulum", "rod.angle_rad", excited, -60.0 * DEGREE),
+        ("slider-crank-with-sprung-mass", "mass.s_m", sprung, 0.9),
+    ],
+)
+def test_published_mechanism_by_an_own_integration(name, column, bend, start):
+    run = optlink.simulate(optlink.load(PUBLISHED[name]), duration=1.0, rows=50)
+    q, _ = own(lambda t, y: (y[1], bend(t, *y)), (start, 0.0), run["time_s"], knots=())
+    np.testing.assert_allclose(np.unwrap(run[column]) if "angle" in column else run[column], q, atol=1e-8)
+
+
 # --- controllers ------------------------------------------------------------------------------------------------------------
 
 GAINS = {"proportional": "200 N*m/rad", "derivative": "10 N*m*s/rad"}
