@@ -101,6 +101,16 @@ def test_a_member_of_a_former_name_warns(kind: str, former: str) -> None:
     assert caught[0].filename == __file__
 
 
+def test_every_result_prints_as_its_command(result: Document, capsys: pytest.CaptureFixture[str]) -> None:
+    from optlink.presentation.registry import table_of
+    from optlink.presentation.terminal import show
+
+    shown = table_of(result.kind)(result)
+    show(shown.short or shown)
+    assert str(result).splitlines() == [line.rstrip() for line in capsys.readouterr().out.rstrip("\n").split("\n")]
+    assert "\n" not in repr(result)
+
+
 def test_every_result_is_plotted(result: Document) -> None:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure

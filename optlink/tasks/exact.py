@@ -89,7 +89,7 @@ def exact(problem: AnyProblem) -> SynthesisResult:
         message = (
             "only four or five poses, five timed points or points of a function, and nine points have listed exact solutions"
         )
-        remedy = "Give as many targets, with all dimensions and the start of the timing free; or leave out --all and requirement.exact"
+        remedy = "Give as many targets, all dimensions and the start of the timing free; or leave out --all and requirement.exact"
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()
     targets = kind(problem.variants())
