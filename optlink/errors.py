@@ -43,7 +43,7 @@ def shown(value: object) -> str:
     """Format a value for a message: short, on one line."""
     if isinstance(value, int) and value.bit_length() > 256:  # Python refuses to print the largest ones
         return f"an integer of {value.bit_length():,} bits"
-    text = f'"{value}"' if isinstance(value, str) else str(value)
+    text = f'"{value}"' if isinstance(value, str) else repr(value) if hasattr(value, "to_dict") else str(value)
     if isinstance(value, bool | list | dict):  # as in the file
         with contextlib.suppress(TypeError, ValueError, RecursionError):
             text = json.dumps(value, ensure_ascii=False, default=str)

@@ -118,6 +118,16 @@ def test_a_property_that_fails_is_not_called_unknown(monkeypatch: pytest.MonkeyP
         _ = result.figures  # type: ignore[attr-defined]
 
 
+def test_every_result_prints_as_its_command(result: Document, capsys: pytest.CaptureFixture[str]) -> None:
+    from optlink.presentation.registry import table_of
+    from optlink.presentation.terminal import show
+
+    shown = table_of(result.kind)(result)
+    show(shown.short or shown)
+    assert str(result).splitlines() == [line.rstrip() for line in capsys.readouterr().out.rstrip("\n").split("\n")]
+    assert "\n" not in repr(result)
+
+
 def test_every_result_is_plotted(result: Document) -> None:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import tomllib
 from pathlib import Path
@@ -36,7 +37,7 @@ def test_every_machine_has_a_template():
 def test_template_is_a_problem_file(name):
     text = template(name)
     problem = optlink.read(tomllib.loads(text.text), name)
-    assert problem.model.title
+    assert not re.search(r"^$|[0-9]", problem.model.title)  # figures change, and the title would remain
     assert problem.model.about
     assert 20 < len(text.summary) < 80
     assert text.commands[0] in (f"optlink {verb} {name}.toml" for verb in ("solve", "analyze", "simulate"))

@@ -93,7 +93,7 @@ def _template(problem: ProblemFile, name: str = "") -> str:
     if is_result(name):
         text = stored_problem(problem)["toml"]
     else:
-        path = Path(name) if name.endswith(".toml") else problem.folder / os.path.basename(problem.file)
+        path = Path(name) if name.endswith(".toml") else problem.folder / os.path.basename(problem.file_name)
         text = path.read_text(encoding="utf-8-sig")
     return rewritten(text, tables(text), complete(problem))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
 from optlink.errors import InputError, UnknownName, extra_remedy, nearest
 from optlink.io import folder as made, whole
 from optlink.presentation.columns import file_units, in_units
-from optlink.presentation.registry import stored_page, view_of
+from optlink.presentation.registry import stored_page, table_of as table_of_kind, view_of
 from optlink.presentation.view import registered_charts
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Result
@@ -220,6 +220,14 @@ def write(result: Document, place: Path, pictures: str) -> list[Path]:
     """Write the files of a result; see `Document.write`."""
     check_choice("pictures", pictures, ("png", "svg", "pdf"), "no format of pictures")
     return view_of(result.kind).write(result, made(place, "folder"), pictures)
+
+
+def printed(result: Document) -> str:
+    """Return what the command of a result prints."""
+    from optlink.presentation.terminal import text
+
+    shown = table_of_kind(result.kind)(result)
+    return text(shown.short or shown)
 
 
 def tables_of(result: Document) -> dict[str, Mapping[str, Iterable[float | str]]]:

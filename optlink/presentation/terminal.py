@@ -51,6 +51,14 @@ def show(content: Summary | Part) -> None:
     console().print(rendered(_visible(content)))
 
 
+def text(content: Summary | Part) -> str:
+    """Return what `show` prints, without colours."""
+    printer = console()
+    with printer.capture() as printed:
+        printer.print(rendered(_visible(content)))
+    return re.sub(r"\x1b\[[\d;]*m| +$", "", printed.get().rstrip("\n"), flags=re.MULTILINE)
+
+
 def _visible(content: T) -> T:
     """Return a copy of a content with visible control characters in its texts."""
     if isinstance(content, str):

@@ -219,6 +219,11 @@ class Document(Summary):
         def status(self) -> str:
             """See `Result`."""
 
+    def __str__(self) -> str:
+        """Return what the command prints: for `print`."""
+        printed: str = reports("interface").printed(self)
+        return printed
+
     def _repr_html_(self) -> str | None:
         html: str | None = reports("html.notebook").notebook_html(self)
         return html
@@ -500,7 +505,7 @@ def _place(error: Exception) -> str:
 def stored_problem(problem: ProblemFile) -> dict[str, Any]:
     """Return a problem as a document contains it: its text with all changes, and with the files to which it refers."""
     tables, _ = enclosing(problem.raw, problem.folder, problem.files)
-    return {"file": problem.file, "toml": "\n".join(_toml_lines(tables)) + "\n"}
+    return {"file": problem.file_name, "toml": "\n".join(_toml_lines(tables)) + "\n"}
 
 
 def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:

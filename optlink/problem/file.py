@@ -50,6 +50,8 @@ from optlink.units import in_si, is_unit, split, split_range
 
 MAX_BYTES = 1_000_000
 MOST_NESTED = 50
+SHIPPED = "the shipped problem "
+"""How errors name the file of a shipped problem where the present folder has one of that name."""
 ANGLES = ("direction", "tilt", "from", "start", "psi0", "mark")
 """Last steps of the keys of quantities that are angles."""
 SIDES = ("min", "max")
@@ -103,6 +105,11 @@ class ProblemFile:
 
     def __hash__(self) -> int:
         return hash((self.name, self.file, self.hash))
+
+    @property
+    def file_name(self) -> str:
+        """Name of the file in documents; `file` is that in errors."""
+        return f"{self.name}.toml" if self.file.startswith(SHIPPED) else self.file
 
     def __repr__(self) -> str:
         changes = "".join(f", {key} = {shown(value)}" for key, value in self.overrides.items())
@@ -287,6 +294,8 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
                 raise InputError("this is a template, not a problem", remedy, key="PROBLEM", value=text)
             raise InputError("no such problem", similar_name(text, names), key="PROBLEM", value=text)
     file = shown_name(path.name if text in names else text)
+    if text in names and os.path.exists(file):
+        file = f"{SHIPPED}{text}"
     raw = _tables(_read_toml(path), file)
     changes = _with_units(raw, _without_arrays(overrides or {}), file)
     _change(raw, changes, file)

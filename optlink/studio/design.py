@@ -270,8 +270,8 @@ class _Synthesis(_Searched):
         if part.law_given:
             offsets = part.span * np.linspace(0.0, 1.0, CURVE_POSITIONS + 1)
             with np.errstate(all="ignore"):
-                error = factor * error_at(part, part.own(values), offsets)
-            yield ErrorCurve("Output error", start + offsets, "target minus generated", unit, error)
+                error = -factor * error_at(part, part.own(values), offsets)
+            yield ErrorCurve("Output error", start + offsets, "generated minus target", unit, error)
         elif part.requirement.kind != "transmission" and angles is not None:
             own = angles[: len(part.data.columns)]
             distances = deviations(part, part.own(values), own).distances

@@ -296,7 +296,7 @@ def analyze(
     points: int = 360,
     step: float | None = None,
     speed: float | None = None,
-    design: Mapping[str, float] | None = None,
+    design: Mapping[str, float | str] | None = None,
 ) -> Analysis:
     """Analyse a machine over its cycle at constant crank speed: motion, reactions, torque and work.
 
@@ -310,7 +310,7 @@ def analyze(
         Crank angle step, instead of `points`.
     speed : float [rad/s], optional
         Crank speed, negative clockwise. Default: that of the problem.
-    design : mapping of str to float [SI], optional
+    design : mapping of str to float [SI] or str, optional
         Values of design variables. Default: their starting values.
 
     Returns
@@ -332,15 +332,15 @@ def analyze(
     ((361,), ['crank_angle_deg', 'time_s', 'crank.angle_rad'])
     """
     problem = problem_of(problem)
-    check_design(problem, design)
+    sizes = check_design(problem, design)
     _check(points, step)
-    analysis = _analysed(problem, points, step, crank_speed(problem, speed), design)
+    analysis = _analysed(problem, points, step, crank_speed(problem, speed), sizes)
     machine = analysis.machine
     if not machine.mechanism.returns or not analysis.valid:
         return analysis
     if not depends_on_sense(machine, analysis.low, analysis.high, analysis.speed):
         return replace(analysis, extremes=analysis.extremes.both_ways(analysis.extremes.turned, POWER))
-    back = _analysed(problem, points, step, -analysis.speed, design)
+    back = _analysed(problem, points, step, -analysis.speed, sizes)
     extremes = analysis.extremes.both_ways(back.extremes)
     return replace(analysis, extremes=extremes, notes=(*analysis.notes, _back_note(analysis, back)))
 

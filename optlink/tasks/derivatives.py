@@ -104,12 +104,12 @@ class _Local:
         return self.programme.hessian(self.x, multipliers, factor)
 
     def row(self, of: str) -> int | None:
-        """Return the row of a limit, of several the one that is nearest to its bound; None for the objective.
+        """Return the row of a limit, at several positions the one that is nearest to its bound; None for the objective.
 
         Raises
         ------
         InputError
-            If there is no limit of this name.
+            If there is no limit of this name or key, or if several have the key.
         """
         if of == OBJECTIVE:
             return None
@@ -117,6 +117,9 @@ class _Local:
         if not rows:
             known = [OBJECTIVE, *dict.fromkeys(one.name for one in self.programme.constraints if one.key)]
             raise InputError("no such limit", nearest(of, known), self.programme.problem.file, "of", of)
+        if len(names := {self.programme.constraints[k].name for k in rows} - {of}) > 1:
+            message, remedy = "several limits have this key", f"Give one of {', '.join(sorted(names))}"
+            raise InputError(message, remedy, self.programme.problem.file, "of", of)
         low, high, g = self.programme.g_low, self.programme.g_high, self.values.g
         return min(rows, key=lambda k: min(g[k] - low[k], high[k] - g[k]))
 
@@ -137,14 +140,14 @@ class _Local:
         return slope * gradient, slope * hessian + curvature * np.outer(gradient, gradient)
 
 
-def _at(problem: AnyProblem, design: Mapping[str, float]) -> _Local:
+def _at(problem: AnyProblem, design: Mapping[str, float | str]) -> _Local:
     programme = build(problem_of(problem))
     programme = programme.at_peaks(programme.x_of(design))
     return _Local(programme, programme.x_of(design))
 
 
 @typed
-def gradient(problem: AnyProblem, design: Mapping[str, float], of: str = OBJECTIVE) -> dict[str, float]:
+def gradient(problem: AnyProblem, design: Mapping[str, float | str], of: str = OBJECTIVE) -> dict[str, float]:
     """Return the exact derivatives of the objective or of a limit with respect to the design variables.
 
     Unknowns that follow from a design, such as the crank angle at which a stroke ends, move with it.
@@ -153,11 +156,12 @@ def gradient(problem: AnyProblem, design: Mapping[str, float], of: str = OBJECTI
     ----------
     problem : ProblemFile, str or Path
         As in `optlink.build`.
-    design : mapping of str to float [SI]
+    design : mapping of str to float [SI] or str
         Value of every design variable, for example `result.design`.
     of : str
-        "objective", as `optlink.solve` states it; or name or key of a limit, as `optlink.build(problem).constraints` has it: a
-        limit of a transmission angle by its cosine, of several positions that nearest to the bound.
+        "objective", as `optlink.solve` states it; or the name of a limit, or its key if no other has it, as
+        `optlink.build(problem).constraints` has them: a limit of a transmission angle by its cosine, of several positions that
+        nearest to the bound.
 
     Returns
     -------
@@ -167,8 +171,8 @@ def gradient(problem: AnyProblem, design: Mapping[str, float], of: str = OBJECTI
     Raises
     ------
     InputError
-        As `optlink.build`; and if the linkage cannot be assembled, if there is no such limit, or if the objective has a corner at
-        the design: several positions that share its largest value.
+        As `optlink.build`; and if the linkage cannot be assembled, if there is no such limit or more than one, or if the objective
+        has a corner at the design: several positions that share its largest value.
 
     Examples
     --------
@@ -182,7 +186,7 @@ def gradient(problem: AnyProblem, design: Mapping[str, float], of: str = OBJECTI
 
 
 @typed
-def hessian(problem: AnyProblem, design: Mapping[str, float], of: str = OBJECTIVE) -> dict[str, dict[str, float]]:
+def hessian(problem: AnyProblem, design: Mapping[str, float | str], of: str = OBJECTIVE) -> dict[str, dict[str, float]]:
     """Return the exact second derivatives of the objective or of a limit with respect to the design variables.
 
     A largest value over the positions is taken at the position where it is, which does not move with the design.
@@ -191,7 +195,7 @@ def hessian(problem: AnyProblem, design: Mapping[str, float], of: str = OBJECTIV
     ----------
     problem : ProblemFile, str or Path
         As in `optlink.build`.
-    design : mapping of str to float [SI]
+    design : mapping of str to float [SI] or str
         Value of every design variable.
     of : str
         As in `optlink.gradient`.

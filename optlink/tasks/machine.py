@@ -15,7 +15,7 @@ from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.driving import Driving
 from optlink.problem.file import ProblemFile, check_plausible
-from optlink.problem.quantity import check_choice, input_of
+from optlink.problem.quantity import check_choice, input_of, read_quantity
 from optlink.units import KINDS
 
 _machines: dict[int, Machine] = {}
@@ -42,15 +42,15 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
     return machine if machine.ranges.full else None
 
 
-def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> None:
-    """Refuse a design with names that the problem does not know, or with a value that is not finite or not plausible in SI.
+def check_design(problem: ProblemFile, design: Mapping[str, float | str] | None) -> dict[str, float] | None:
+    """Return a design in SI, of numbers and of texts with units.
 
     The start angles of a motion law of a four-bar may be in it although they follow from the lengths, as in `result.design`.
 
     Raises
     ------
     InputError
-        If there is one.
+        If the problem does not know a name, or a value is not finite or, as a number, not plausible in SI.
     """
     follow = (
         ()
@@ -60,12 +60,18 @@ def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> No
             getattr(problem.model, "base_name", "psi0"),
         )
     )
-    for name in design or {}:
-        check_choice("--design", name, (*problem.model.quantities, *follow), UNKNOWN_QUANTITY, problem.file)
+    quantities, read = problem.model.quantities, dict[str, float]()
     for name, value in (design or {}).items():
+        check_choice("--design", name, (*quantities, *follow), UNKNOWN_QUANTITY, problem.file)
+        if isinstance(value, str):
+            with input_of(problem.file, f"design.{name}", value):
+                read[name] = float(read_quantity(value, quantities[name].kind if name in quantities else "angle").value)
+            continue
         if not math.isfinite(value):
             raise InputError("not a finite number", "Give one in SI units", problem.file, f"design.{name}", value)
         check_sizes(problem, name, value, f"design.{name}")
+        read[name] = value
+    return None if design is None else read
 
 
 def check_sizes(problem: ProblemFile, name: str, values: Value, key: str) -> None:

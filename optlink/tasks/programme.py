@@ -237,12 +237,12 @@ class Programme:
         return {name: values[name] for name in self.problem.model.free}
 
     @typed
-    def x_of(self, design: Mapping[str, float]) -> Array:
+    def x_of(self, design: Mapping[str, float | str]) -> Array:
         """Return x of a design; the unknowns that the formulation adds follow from it.
 
         Parameters
         ----------
-        design : mapping of str to float [SI]
+        design : mapping of str to float [SI] or str
             Value of every design variable, for example `result.design`.
 
         Raises
@@ -250,9 +250,9 @@ class Programme:
         InputError
             If it has unknown names or lacks a design variable.
         """
-        check_design(self.problem, design)
+        values = check_design(self.problem, design) or {}
         check_complete(self.problem, design)
-        return self._shown(design_task(self.problem).unknowns(self.problem, self._nlp, design))
+        return self._shown(design_task(self.problem).unknowns(self.problem, self._nlp, values))
 
     # --- other forms -----------------------------------------------------------------------------------------------------
 

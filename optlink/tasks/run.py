@@ -213,16 +213,16 @@ def _default_boxes(problem: ProblemFile, result: Any) -> int:
 
 
 @typed
-def validate(problem: AnyProblem, design: Mapping[str, float]) -> DesignResult:
+def validate(problem: AnyProblem, design: Mapping[str, float | str]) -> DesignResult:
     """Check a design against all requirements and limits, without optimisation.
 
     Parameters
     ----------
     problem : ProblemFile, str or Path
         From `optlink.load`, the name of a shipped problem, or a file, with a requirement or an objective.
-    design : mapping of str to float [SI]
-        Value of every design variable by name, for example `result.design`; `optlink.read_design` reads them from text or
-        from a result file.
+    design : mapping of str to float [SI] or str
+        Value of every design variable by name, for example `result.design` or {"coupler": "412 mm", "rocker": "232 mm"};
+        `optlink.read_design` reads them from a result file.
 
     Returns
     -------
@@ -244,10 +244,10 @@ def validate(problem: AnyProblem, design: Mapping[str, float]) -> DesignResult:
     from optlink.tasks.machine import check_design
 
     task = design_task(problem)
+    sizes = check_design(problem, design) or {}
     if task.most_starts is not None:  # a kind with design variables
-        check_design(problem, design)
         check_complete(problem, design)
-    result: DesignResult = task.validate(problem, design)
+    result: DesignResult = task.validate(problem, sizes)
     return result
 
 

@@ -412,6 +412,8 @@ def test_generated_output_is_drawn_with_its_law():
     law = 75.0 + 40.0 * (root - math.sqrt(0.1)) / (1.0 - math.sqrt(0.1))
     np.testing.assert_allclose(target[:, 1], law, atol=1e-7)
     np.testing.assert_allclose(line(panels[1], "error")[:, 1], computed[:, 1] - law, atol=1e-7)
+    offsets = np.radians(np.abs(computed[:, 0] - computed[0, 0]))
+    np.testing.assert_allclose(line(panels[1], "error")[:, 1], 1e3 * result("function").error(offsets), atol=1e-7)
     assert panels[0].get_ylabel() == "place along G [mm]"
     assert len(line(panels[0], "positions")) == len(line(panels[1], "errors at the positions")) == 25
 

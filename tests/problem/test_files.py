@@ -117,3 +117,14 @@ def test_names_of_the_user_keep_their_spelling():
     raw = optlink.load("shaper-design").raw
     limits = {"regularization": raw["limits"]["stroke"], "time_ratio": raw["limits"]["time_ratio"]}
     assert "regularization" in optlink.read({**raw, "limits": limits}).model.limits.named
+
+
+def test_an_error_of_a_shipped_problem_names_no_file_of_the_same_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"^toggle-press\.toml: "):
+        optlink.solve("toggle-press")
+    before = optlink.analyze("toggle-press", 12).to_dict()
+    (tmp_path / "toggle-press.toml").write_text("")
+    with pytest.raises(InputError, match=r"^the shipped problem toggle-press: "):
+        optlink.solve("toggle-press")
+    assert optlink.analyze("toggle-press", 12).to_dict() == before

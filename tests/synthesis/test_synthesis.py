@@ -647,4 +647,4 @@ def test_a_batch_differentiates_starts_and_outputs_that_follow_from_the_lengths(
     for row, side, one in zip(x, variant, errors(x), strict=True):
         values = {v.name: float(v.value(value)) for v, value in zip(batch.variables, row, strict=True)}
         result = optlink.validate(file.variants()[side], values)
-        np.testing.assert_allclose(one[:, 0], -result.error(), atol=1e-12)
+        np.testing.assert_allclose(one[:, 0], result.error(), atol=1e-12)

@@ -75,6 +75,15 @@ def test_derivatives_of_a_transmission_angle_are_those_of_the_law_of_cosines() -
     assert curvature["coupler"]["coupler"] == pytest.approx(-1.0 / (b * c) + top / (b**3 * c), rel=1e-9)
 
 
+def test_a_design_may_have_texts_with_units() -> None:
+    texts = {"coupler": "412 mm", "rocker": "23.2 cm"}
+    numbers = {"coupler": 0.412, "rocker": 0.232}
+    assert optlink.gradient("crank-rocker", texts) == pytest.approx(optlink.gradient("crank-rocker", numbers), rel=1e-12)
+    assert optlink.validate("crank-rocker", texts).objective == pytest.approx(optlink.validate("crank-rocker", numbers).objective)
+    whole = optlink.analyze("crank-rocker", 12, design=texts)
+    assert whole.design["rocker"] == pytest.approx(0.232)
+
+
 def test_a_corner_of_the_objective_is_refused() -> None:
     problem = optlink.load("function-log10").variants()[0]
     best = optlink.solve(problem, starts=3).design
@@ -86,7 +95,15 @@ def test_a_corner_of_the_objective_is_refused() -> None:
     ("call", "message"),
     [
         (lambda: optlink.gradient("crank-rocker", {"coupler": 0.4, "rocker": 0.2}, "swing"), r'of = "swing": no such limit'),
+        (
+            lambda: optlink.gradient("crank-rocker", {"coupler": 0.4, "rocker": 0.2}, "limits.transmission_angle"),
+            r"several limits have this key. Give one of largest transmission angle, smallest transmission angle$",
+        ),
         (lambda: optlink.hessian("crank-rocker", {"coupler": 0.4}), r"the design lacks rocker"),
+        (
+            lambda: optlink.gradient("crank-rocker", {"coupler": "0.4 kg", "rocker": 0.2}),
+            r'design\.coupler = "0\.4 kg"',
+        ),
         (lambda: optlink.gradient("crank-rocker", {"coupler": 0.2, "rocker": 0.2}), r"cannot be assembled at every position"),
         (lambda: optlink.gradient("shaper", {}), r"shaper\.toml"),
     ],

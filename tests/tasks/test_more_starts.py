@@ -183,7 +183,7 @@ def test_the_written_machine_moves_like_the_design(tmp_path: Path) -> None:
         k = int(np.argmin(np.abs(np.remainder(crank - at + 180.0, 360.0) - 180.0)))
         offset = math.remainder(math.radians(crank[k]) - result.design["phi0"], 2.0 * math.pi)
         target = result.problem.spec.law.curve(np.array([offset]), result.design["phi0"], result.design["psi0"])[0]
-        generated = target - result.error([offset])[0]
+        generated = target + result.error([offset])[0]
         assert math.remainder(rocker[k] - generated, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
 

@@ -175,7 +175,7 @@ def closing_sections(file: ProblemFile, by: str) -> Iterable[PageSection]:
     sources = {
         "Problem": file.model.source or "no source is given",
         **expected,
-        "Problem file": file.file,
+        "Problem file": file.file_name,
         "Hash of the problem": file.hash,
         "Found by": by,
         "optlink": f"{VERSION}, with Python {platform.python_version()}, numpy {np.__version__}",

@@ -304,7 +304,7 @@ def law(view: DesignView) -> list[ChartSpec]:
     offsets, at = task.span * np.linspace(0.0, 1.0, POSITIONS), task.law.offsets
     target, prescribed = (task.law.curve(places, view.begin, design.own.get(task.base_name, 0.0)) for places in (offsets, at))
     unit = view.sketch.scale if task.slides else scale(0.0, "deg")
-    error, at_marks = (-unit.factor * design.errors(places) for places in (offsets, at))
+    error, at_marks = (unit.factor * design.errors(places) for places in (offsets, at))
     if not np.any(np.isfinite(error)):
         return []
     crank, marked = (view.crank(view.begin + places) for places in (offsets, at))

@@ -283,7 +283,7 @@ class LinkageDesign(Summary):
         return hasattr(self.task.requirement, "law")
 
     def errors(self, offsets: ArrayLike | None = None) -> Array:
-        """Return prescribed minus generated output (n,) [rad or m] of a law at crank rotations from the start.
+        """Return generated minus prescribed output (n,) [rad or m] of a law at crank rotations from the start.
 
         Parameters
         ----------
@@ -295,7 +295,7 @@ class LinkageDesign(Summary):
         begin, base = self.own[task.start_name], self.own.get(task.base_name, 0.0)
         motion, output = sweep(task.linkage, self.values, begin + at), task.output
         actual = motion.coordinate(output).value if task.slides else motion.body_angle(output).value
-        error = np.asarray(law.curve(at, begin, base) - np.asarray(actual, dtype=float), dtype=float)
+        error = np.asarray(actual, dtype=float) - law.curve(at, begin, base)
         return error if task.slides else np.remainder(error + np.pi, TURN) - np.pi
 
     @cached_property
@@ -671,7 +671,7 @@ class SynthesisResult(Document):
         return None if self.best is None else self.best.assembly
 
     def error(self, offsets: ArrayLike | None = None) -> Array:
-        """Return prescribed minus generated output of the best design of a law; see `LinkageDesign.errors`.
+        """Return generated minus prescribed output of the best design of a law; see `LinkageDesign.errors`.
 
         Raises
         ------
