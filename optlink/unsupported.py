@@ -62,7 +62,7 @@ UNSUPPORTED = {
 
 WRITTEN = {
     r"requirements?\.(\d+\.)?(body|link|slider?|guide)": (
-        'Write output = "rocker" for what follows, keeps or sweeps a value; a path or a motion has point = "P"'
+        'Name the output: output = "rocker" (of a path or a motion: point = "P")'
     ),
     r"drive\.(end|stop|to|until|limits?|min|max|travel|swing)": 'Write range = ["15 deg", "60 deg"]',
     r"((mechanism|loads)\.)?(\w+\.)?(stops?|bumpers?|end_?stops?)": (

@@ -187,17 +187,15 @@ def near_singular(pose: Pose, crank_angle: Array) -> NDArray[np.bool_]:
     revolution, the last one step before the first. Between two samples, where the alignment has a minimum and is convex, it lies
     above the intersection of its two tangents.
     """
-    step, count = crank_angle[1] - crank_angle[0], len(crank_angle)
-    shape = np.broadcast_shapes(*(np.shape(as_jet(margin).value) for margin in pose.margins.values()), (1, count))
-    near = np.zeros(shape[0], dtype=bool)
+    step, near = crank_angle[1] - crank_angle[0], np.zeros(1, dtype=bool)
     with np.errstate(all="ignore"):
         for group in pose.mechanism.groups:
             alignment = as_jet(group.alignment(pose))
-            sines, rates = (np.broadcast_to(part, shape) for part in (alignment.value, alignment.rate))
+            sines, rates, _ = np.broadcast_arrays(alignment.value, alignment.rate, crank_angle[None])
             after, rates_after = np.roll(sines, -1, axis=1), np.roll(rates, -1, axis=1)
             along = np.clip((after - sines - rates_after * step) / (rates - rates_after), min(0.0, step), max(0.0, step))
             least = np.where(rates * step < 0.0, np.where(rates_after * step > 0.0, sines + rates * along, sines), sines)
-            near |= np.any((least <= TOUCHING) & (sines >= -TOUCHING) & (after >= -TOUCHING), axis=1)
+            near = near | np.any((least <= TOUCHING) & (sines >= -TOUCHING) & (after >= -TOUCHING), axis=1)
     return near
 
 

@@ -278,15 +278,16 @@ def freedoms_of(problem: ProblemFile, machine: Machine) -> list[Freedom]:
     if not any(section.free for section in sections.values()):
         return freedoms
     key, pace = "drives" if model.drives else "drive", model.driving.pace
-    switching = next((f"loads.{load.name}" for load in machine.loads if load.switching), None)
-    if switching or machine.friction or mechanism.followed:
-        what, remedy = "motion through singular positions", 'Leave ", continue" out'
-        if not mechanism.followed:
-            what, remedy = "friction in guides", "Give damping instead"
-        if switching:
-            what = "a load that opposes the motion, or acts in one stroke,"
-            remedy = 'Give damping, or a smooth change over the speed: torque = { expression = "-2*tanh(w/0.01)", unit = "N*m" }'
-        raise InputError(f"{what} is not supported with drives that move freely", remedy, problem.file, switching or "mechanism")
+    remedy = (
+        'Give damping, or a load with a smooth change over the speed: torque = { expression = "-2*tanh(w/0.01)", unit = "N*m" }'
+    )
+    opposing = "a load that opposes the motion, or acts in one stroke,"
+    refused = {f"loads.{load.name}": opposing for load in machine.loads if load.switching}
+    refused |= {f"mechanism.guides.{name}.friction": "friction in a guide" for name in machine.friction}
+    if mechanism.followed and not refused:
+        refused, remedy = {"mechanism.assembly": "motion through singular positions"}, 'Leave ", continue" out'
+    for where, what in refused.items():
+        raise InputError(f"{what} is not supported with drives that move freely", remedy, problem.file, where)
     if failed := failure(mechanism, machine.sizes, 0.0):
         raise InputError(failed.at("the start"), "Change the start of the drives", problem.file, key)
     pose = mechanism.at(machine.sizes, Jet(0.0, pace))

@@ -491,6 +491,26 @@ def test_batch_finds_a_singular_position_within_a_short_stroke():
     assert list(found.valid) == [False, True, True]
 
 
+def test_batch_judges_a_group_near_alignment_of_which_only_the_crank_varies():
+    """A rack takes a block along, whose guide turns about G, 1 mm beside its way."""
+    mechanism = {
+        "ground": {"A": ["0 mm", "0 mm"], "W": ["0 mm", "40 mm"], "G": ["0 mm", "41 mm"]},
+        "links": {
+            "pinion": {"joints": ["A", "P"], "length": "50 mm"},
+            "rack": {"joints": ["S"]},
+            "rocker": {"joints": ["G", "T"], "length": "0.3 m"},
+            "block": {"joints": ["S"]},
+        },
+        "guides": {"way": {"slider": "rack", "through": "W"}, "arm": {"slider": "block", "on": "rocker", "through": "G"}},
+        "racks": {"mesh": {"pinion": "pinion", "rack": "rack", "radius": "40 mm"}},
+        "assembly": {"arm": "forward"},
+    }
+    machine = optlink.read({"mechanism": mechanism, "drive": {"body": "pinion", "range": ["-90 deg", "90 deg"]}})
+    found = optlink.analyze_batch(machine, {"pinion.length": [0.05, 0.06, 0.07]}, ["rocker.omega_rad_s"], points=9)
+    assert np.all(found.valid)
+    np.testing.assert_array_equal(found["rocker.omega_rad_s"], found["rocker.omega_rad_s"][[0, 0, 0]])
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

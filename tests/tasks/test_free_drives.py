@@ -428,6 +428,8 @@ def test_loads_that_jump_and_a_missing_duration_are_refused():
     brake = {"on": "fore", "torque": "1 N*m", "acts": "opposing"}
     with pytest.raises(InputError, match=r"loads\.brake.*not supported.*tanh"):
         simulated("two-link-arm", {**FREE, "drives.elbow.torque": "0 N*m", "loads.brake": brake}, duration=0.1)
+    with pytest.raises(InputError, match=r"mechanism\.guides\.rail\.friction: friction in a guide is not supported.*tanh"):
+        optlink.simulate(optlink.load(PUBLISHED["crane-crab"], {"mechanism.guides.rail.friction": 0.1}), duration=0.1)
     soft = {"drives.elbow.range": ["0 deg", "90 deg"], "drives.elbow.stops": {"stiffness": "0 N*m/rad"}}
     with pytest.raises(InputError, match=r"stops\.stiffness.*a stop needs a stiffness"):
         simulated("two-link-arm", {**FREE, "drives.elbow.torque": "0 N*m", **soft}, duration=0.1)
