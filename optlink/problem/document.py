@@ -548,7 +548,12 @@ def read_problem(document: Mapping[str, Any], path: Path) -> ProblemFile:
         If this version reads it differently.
     """
     stored = document["problem_file"]
-    problem = read(stored["toml"], document["problem"], stored["file"], Path())
+    try:
+        problem = read(stored["toml"], document["problem"], stored["file"], Path())
+    except InputError as error:
+        remedy = "If it is a function of yours, define it before: run its cell"
+        faults = [replace(fault, remedy=remedy) if (fault.key or "").endswith("quantity") else fault for fault in error.faults]
+        raise InputError(faults) from None
     if problem.hash != document["problem_hash"]:
         message = f"version {document['optlink']} read its problem otherwise than version {VERSION}"
         raise InputError(message, AGAIN, str(path), "problem_hash", document["problem_hash"])
