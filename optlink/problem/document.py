@@ -315,7 +315,8 @@ class Document(Summary):
         name : str, optional
             File name of the table without ending. Default: the first one.
         units : "SI" or "file"
-            SI, or the unit that ends the name of a column; "file": the units that stand most often in the problem file.
+            SI, or the unit that ends the name of a column; "file": the units that stand most often in the problem file; squares
+            of angles remain in rad^2.
 
         Raises
         ------
@@ -340,7 +341,7 @@ class Document(Summary):
         name : str, optional
             Name of a table of columns, as in `to_frame`. Default: that of the design, or the first one.
         columns : sequence of str, optional
-            Names of the columns, as `to_frame` has them in SI. Default: all.
+            Names of the columns, as `to_frame` has them in SI or in the units of the file. Default: all.
 
         Raises
         ------
