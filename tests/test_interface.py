@@ -264,10 +264,21 @@ def test_a_latex_table_has_the_columns_of_the_frame_in_units_of_the_file() -> No
     head, *rows = cells(text)
     assert head == [r"crank\_angle [deg]", "B.x [mm]", r"input.torque [N\textperiodcentered{}m]"]
     frame = result.to_frame(units="file")[["crank_angle_deg", "B.x_mm", "input.torque_Nm"]]
-    read = [[float(cell.strip("$").replace(r" \cdot 10^{", "e").rstrip("}")) for cell in row] for row in rows]
-    np.testing.assert_allclose(read, frame.to_numpy(), rtol=1e-4, atol=1e-12)
+    read = [[float(cell.strip("$")) for cell in row] for row in rows]
+    np.testing.assert_allclose(read / frame.abs().max().to_numpy(), frame / frame.abs().max(), atol=1e-4)
+    for column in zip(*rows, strict=True):
+        assert len({len(cell.strip("$").partition(".")[2]) for cell in column}) == 1
+    assert result.to_latex(columns=["crank_angle_deg", "B.x_mm", "input.torque_Nm"]) == text
     with pytest.raises(InputError, match=r"no such column. Did you mean"):
-        result.to_latex(columns=["B.x_mm"])
+        result.to_latex(columns=["B.x_mn"])
+
+
+def test_a_study_is_ready_to_print() -> None:
+    sweep = RESULTS["sweep"]()
+    frame, text = sweep.to_frame(units="file"), sweep.to_latex(columns=["coupler_mm", "objective_rad2", "active"])
+    assert frame["objective_rad2"].to_numpy() == pytest.approx(sweep.columns["objective_rad2"], rel=1e-12)  # type: ignore[attr-defined]
+    assert r"\begin{tabular}{rrl}" in text
+    assert r"objective [rad\textsuperscript{2}]" in text
 
 
 def test_latex_of_a_design_has_its_sizes_and_limits() -> None:

@@ -8,6 +8,7 @@ threads of this process (`inproc://`), each worker has a process of its own, and
 
 import contextlib
 import itertools
+import json
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
@@ -15,7 +16,10 @@ from typing import Any
 
 from optlink.errors import InputError, SolverError, extra_remedy
 from optlink.execution import interrupts
+from optlink.execution.options import Execution
 from optlink.execution.worker import ATTEMPTS, ChunkResult, ChunkTask, Processes, Runs, packed, run_chunk, run_packed
+from optlink.problem.file import ProblemFile
+from optlink.problem.own_terms import OWN
 from optlink.problem.quantity import check_choice
 
 ENGINES = ("local", "dask")
@@ -57,6 +61,25 @@ def check(engine: str = "local", workers: int | None = None, scheduler: str | No
         except ImportError:
             remedy = f"{extra_remedy('dask')}; or use --engine local"
             raise InputError("Dask is not installed", remedy, key="--engine", value="dask") from None
+
+
+def known_here(problem: ProblemFile, execution: Execution) -> Execution:
+    """Return where a problem is computed: with an own function in the present process, since others do not know it.
+
+    Raises
+    ------
+    InputError
+        If other processes are asked for.
+    """
+    text = json.dumps(problem.raw, default=str)
+    if not (own := [name for name in OWN if json.dumps(name) in text]):
+        return execution
+    if execution.get("engine", "local") != "local" or execution.get("workers") not in (None, 1):
+        remedy = "Leave the option out, or put the function into a package: docs/api/extending.md"
+        raise InputError(
+            f"other processes do not know your function {own[0]}", remedy, problem.file, "--workers", execution.get("workers")
+        )
+    return {**execution, "workers": 1}
 
 
 @contextlib.contextmanager

@@ -33,7 +33,8 @@ def file_units(problem: ProblemFile) -> dict[str, str]:
             counts.setdefault(KINDS[kind].si, Counter())[unit] += 1
     units = {si: counted.most_common(1)[0][0] for si, counted in counts.items()}
     length, angle = units.get("m", "m"), units.get("rad", "rad")
-    motion = {f"{si}{more}": f"{unit}{more}" for si, unit in (("m", length), ("rad", angle)) for more in ("/s", "/s^2", "^2")}
+    motion = {f"{si}{more}": f"{unit}{more}" for si, unit in (("m", length), ("rad", angle)) for more in ("/s", "/s^2")}
+    motion["m^2"] = f"{length}^2"  # squares of angles remain rad^2, as everywhere
     return {si.replace("**", "^"): unit for si, unit in {**motion, **units}.items()}
 
 

@@ -259,10 +259,11 @@ def to_latex(result: Document, buf: str | Path | TextIO | None, name: str | None
     if name is None and columns is None and (view.design(result) is not None or not tables_of(result)):
         text = parts_to_latex(view.table(result).parts)
     else:
-        table = table_of(result, name)
+        table, units = table_of(result, name), file_units(result.problem)
+        keys = {key: key for key in table} | {in_units(key, (), units).key: key for key in table}
         for key in columns or ():
-            check_choice("columns", key, table, "no such column")
-        text = columns_to_latex({key: table[key] for key in (columns or table)}, file_units(result.problem))
+            check_choice("columns", key, keys, "no such column")
+        text = columns_to_latex({keys[key]: table[keys[key]] for key in (columns or table)}, units)
     if isinstance(buf, str | Path):
         with whole(Path(buf)) as temporary:
             temporary.write_text(text, encoding="utf-8")

@@ -28,8 +28,8 @@ def columns_to_latex(table: Mapping[str, Iterable[float | str]], units: Mapping[
     """Return a table of columns by name, in other units than SI, with the units in its head."""
     columns = [in_units(key, values, units) for key, values in table.items()]
     heads = [f"{escaped(one.name)}{f' [{escaped(pretty(one.unit))}]' if one.unit else ''}" for one in columns]
-    cells = [[_number(value) for value in one.values] for one in columns]
-    return _tabular("r" * len(columns), heads, zip(*cells, strict=True))
+    alignment = "".join("l" if any(isinstance(value, str | bool) for value in one.values) else "r" for one in columns)
+    return _tabular(alignment, heads, zip(*(_cells(one.values) for one in columns), strict=True))
 
 
 def parts_to_latex(parts: Iterable[Part]) -> str:
@@ -48,15 +48,18 @@ def _line(text: str) -> str:
     return escaped(re.sub(r"\s*\n\s*", "; " if re.search(r"\d\n", text) else " ", pretty(text)))
 
 
-def _number(value: object) -> str:
-    """Format a number for a column; a dash if it is not finite, a text as it is."""
-    if isinstance(value, str | bool):
-        return escaped(str(value))
-    number = float(value)  # type: ignore[arg-type]
-    if not math.isfinite(number):
-        return "--"
-    digits, _, power = f"{number:z.{DIGITS}g}".partition("e")
-    return f"${digits}" + (rf" \cdot 10^{{{int(power)}}}$" if power else "$")
+def _cells(values: Sequence[float | str]) -> list[str]:
+    """Format a column with one number of decimals; a dash for what is not finite, a text as it is."""
+    if any(isinstance(value, str | bool) for value in values):
+        return [_line(str(value)) for value in values]
+    finite = [float(value) for value in values if math.isfinite(float(value))]
+    power = math.floor(math.log10(max(map(abs, finite), default=0.0) or 1.0))
+    factor = 0 if -3 <= power <= DIGITS or all(map(float.is_integer, finite)) else power
+    texts = [f"{value / 10.0**factor:z.{max(0, DIGITS - 1 + factor - power)}f}" for value in finite]
+    while texts and all("." in text and text[-1] in ".0" for text in texts):  # digits that no number of the column needs
+        texts = [text[:-1] for text in texts]
+    end, rest = rf" \cdot 10^{{{factor}}}$" if factor else "$", iter(texts)
+    return [f"${next(rest)}{end}" if math.isfinite(float(value)) else "--" for value in values]
 
 
 def _tabular(alignment: str, heads: Sequence[str], rows: Iterable[Sequence[str]], title: str = "") -> str:

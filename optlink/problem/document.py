@@ -315,7 +315,8 @@ class Document(Summary):
         name : str, optional
             File name of the table without ending. Default: the first one.
         units : "SI" or "file"
-            SI, or the unit that ends the name of a column; "file": the units that stand most often in the problem file.
+            SI, or the unit that ends the name of a column; "file": the units that stand most often in the problem file; squares
+            of angles remain in rad^2.
 
         Raises
         ------
@@ -340,7 +341,7 @@ class Document(Summary):
         name : str, optional
             Name of a table of columns, as in `to_frame`. Default: that of the design, or the first one.
         columns : sequence of str, optional
-            Names of the columns, as `to_frame` has them in SI. Default: all.
+            Names of the columns, as `to_frame` has them in SI or in the units of the file. Default: all.
 
         Raises
         ------
@@ -548,7 +549,12 @@ def read_problem(document: Mapping[str, Any], path: Path) -> ProblemFile:
         If this version reads it differently.
     """
     stored = document["problem_file"]
-    problem = read(stored["toml"], document["problem"], stored["file"], Path())
+    try:
+        problem = read(stored["toml"], document["problem"], stored["file"], Path())
+    except InputError as error:
+        remedy = "If it is a function of yours, define it before: run its cell"
+        faults = [replace(fault, remedy=remedy) if (fault.key or "").endswith("quantity") else fault for fault in error.faults]
+        raise InputError(faults) from None
     if problem.hash != document["problem_hash"]:
         message = f"version {document['optlink']} read its problem otherwise than version {VERSION}"
         raise InputError(message, AGAIN, str(path), "problem_hash", document["problem_hash"])

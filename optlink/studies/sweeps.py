@@ -20,7 +20,7 @@ from pydantic import PlainSerializer, PlainValidator, WithJsonSchema
 
 from optlink.errors import InputError, Status
 from optlink.execution.options import Execution
-from optlink.execution.runner import check
+from optlink.execution.runner import check, known_here
 from optlink.execution.store import TABLE, Progress, Store, TemporaryFolder
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Renamed, Source
@@ -349,6 +349,7 @@ def sweep(
     else:
         task = _reoptimising(problem, grid, design, backend)
     evaluated = task.mode != OPTIMISE
+    execution = known_here(problem, execution)
     check(**execution)
     with Store(None if out is None else Path(str(out)), _about(task), resume=resume) as store:
         store.divide(task.size, task.chunks)

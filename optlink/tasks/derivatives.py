@@ -171,8 +171,8 @@ def gradient(problem: AnyProblem, design: Mapping[str, float | str], of: str = O
     Raises
     ------
     InputError
-        As `optlink.build`; and if the linkage cannot be assembled, if there is no such limit or more than one, or if the objective
-        has a corner at the design: several positions that share its largest value.
+        As `optlink.build`; and if the linkage cannot be assembled, if there is no such limit or more than one, or if the
+        objective has a corner at the design: several positions that share its largest value.
 
     Examples
     --------

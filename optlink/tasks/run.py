@@ -164,7 +164,7 @@ def solve(
     ['largest transmission angle']
     """
     problem = problem_of(problem)
-    from optlink.execution.runner import alone, check, pool
+    from optlink.execution.runner import alone, check, known_here, pool
 
     task = design_task(problem)
     certified = task.certifies(problem)
@@ -179,6 +179,7 @@ def solve(
         proof.check_problem(problem)
     result: DesignResult
     shared = any(value not in (None, "local") for value in execution.values())
+    execution = known_here(problem, execution)
     check(**execution)
     grids = task.grids(problem, rounding)
     if certify and grids:

@@ -7,6 +7,8 @@ import pytest
 
 import optlink
 from optlink import InputError
+from optlink.execution.runner import known_here
+from optlink.problem.terms import QuantityType
 
 
 def test_an_own_objective_and_limit_give_the_optimum_of_the_quantities_that_they_repeat():
@@ -128,3 +130,24 @@ def test_a_bound_with_its_own_unit():
     assert travel.changes["limits.travel"]["max"] == "0.03 m"
     with pytest.raises(optlink.InputError, match=r'max = "30 deg": not a finite value .* "45 mm"'):
         optlink.limit(unit="mm", max="30 deg")
+
+
+def test_own_functions_stay_in_their_process(tmp_path):
+    @optlink.objective(unit="N m", measure="rms")
+    def rms_effort(machine, reactions):
+        return reactions.torque
+
+    problem = optlink.load("shaper-design", rms_effort.changes)
+    with pytest.raises(InputError, match=r"other processes do not know your function rms effort\. Leave the option out"):
+        optlink.solve(problem, starts=1, workers=2)
+    with pytest.raises(InputError, match=r"workers = 2: other processes"):
+        optlink.studies.sweep(problem, ["gravity=9.8..9.9 m/s^2:2"], workers=2)
+    assert known_here(problem, {}) == {"workers": 1}
+    assert known_here(optlink.load("shaper-design"), {}) == {}
+    result = optlink.validate(problem, STARTING)
+    result.write(tmp_path)
+    assert optlink.read_result(tmp_path).objective == result.objective
+    forgotten = QuantityType.registry.pop("rms effort")
+    with pytest.raises(InputError, match=r'objective\.quantity = "rms effort": .* run its cell$'):
+        optlink.read_result(tmp_path)
+    QuantityType.registry["rms effort"] = forgotten

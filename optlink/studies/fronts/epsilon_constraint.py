@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from optlink.errors import InputError, Status
 from optlink.execution.options import Execution
-from optlink.execution.runner import check
+from optlink.execution.runner import check, known_here
 from optlink.execution.store import Progress, Store
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import ends, knee, undominated
@@ -243,6 +243,7 @@ def pareto(
     if (total := math.prod(ranges.shape)) > MAX_POINTS:
         size = " x ".join(f"{length:,}" for length in ranges.shape) + (f" = {total:,}" if len(ranges.shape) > 1 else "")
         raise InputError(f"{size} points exceed the limit of a front, {MAX_POINTS:,}", "Give fewer", key="--points")
+    execution = known_here(problem, execution)
     check(**execution)
     with Store(None if out is None else Path(str(out)), _about(problem, objective_list, count, backend), resume=resume) as store:
         ahead = ranges.searches

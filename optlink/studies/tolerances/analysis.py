@@ -16,7 +16,7 @@ import numpy as np
 
 from optlink.errors import InputError
 from optlink.execution.options import Execution
-from optlink.execution.runner import check, pool
+from optlink.execution.runner import check, known_here, pool
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
@@ -232,7 +232,7 @@ def tolerance(
     tolerances = stated(problem, tolerances) if isinstance(tolerances, Mapping) else tolerances
     _check(samples, seed, shape, target_yield, limit)
     check_design(problem, design)
-    with _processes(samples, execution) as runs:
+    with _processes(samples, known_here(problem, execution)) as runs:
         file, robust_result = problem, None
         if robust is not None:
             check_targets(problem)
