@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from optlink.presentation.chart_spec import ChartSpec
     from optlink.presentation.export.dimensions import Drawing
     from optlink.presentation.html.chart_plotly import Chart
+    from optlink.presentation.html.gallery import Gallery
     from optlink.presentation.html.moving_linkage import Moving
     from optlink.presentation.report_model import ReportModel
     from optlink.problem.file import ProblemFile
@@ -27,11 +28,11 @@ if TYPE_CHECKING:
 class PageSection:
     """Part of a page under a heading.
 
-    Its parts are further sections, charts, drawings, the moving linkage, paragraphs, facts by name, and groups of tables.
+    Its parts are further sections, charts, drawings, galleries, the moving linkage, paragraphs, facts by name, groups of tables.
     """
 
     name: str
-    parts: Sequence[PageSection | Part | ChartSpec | Chart | Drawing | Moving | Mapping[str, str] | Sequence[Part]]
+    parts: Sequence[PageSection | Part | ChartSpec | Chart | Drawing | Gallery | Moving | Mapping[str, str] | Sequence[Part]]
 
     @property
     def anchor(self) -> str:

@@ -169,7 +169,8 @@ class FiveTargets:
         transmission = float(np.min(np.arcsin(np.clip(sine, 0.0, 1.0))))
         # the joint lies to the left of the line from the crank pin to the rocker pivot, or forward of the pin along the guide
         side = 1 if (across[0] < 0.0) != slides else -1
-        values = _values(task, pair)
+        values, datum = _values(task, pair), task.linkage.datum
+        phi = np.angle(crank) - (values[datum] if isinstance(datum, str) else datum)
         reasons = list(pair.defects)
         loops = [_loop(file.spec) for file in self.files]
         variant = next((k for k, loop in enumerate(loops) if loop is not None and loop.side == side), None)
@@ -179,13 +180,14 @@ class FiveTargets:
         if not reasons and variant is None:
             reasons.append(f'assembly: it needs "{mode}"')
         if not reasons and variant is not None:
-            design = self._design(variant, values, np.angle(crank))
+            design = self._design(variant, values, phi)
             values, mode = design.values, mode_of(design.problem)
             reasons += _failures(design)
             transmission = transmission if reasons else design.least_transmission
             figure = self._figure(design)
         shown = {name: value for name, value in values.items() if name in task.quantities}
-        return _Found(ExactSolution(shown, mode, transmission, certified, tuple(reasons), figure), variant or 0, design)
+        solution = ExactSolution(shown, mode, transmission, certified, tuple(reasons), figure, float(phi[0]))
+        return _Found(solution, variant or 0, design)
 
     def _design(self, variant: int, values: Mapping[str, float], phi: Array) -> LinkageDesign:
         """Return a four-bar as a validated design."""
@@ -193,8 +195,6 @@ class FiveTargets:
         task = file.spec
         full = task.design({name: values[name] for name in task.free})
         if task.data.offsets is None:
-            datum = task.linkage.datum
-            phi = phi - (values[datum] if isinstance(datum, str) else datum)
             way = min((1.0, -1.0), key=lambda sign: float(np.sum(np.mod(sign * np.diff(phi), TURN))))
             angles = phi[0] + way * np.concatenate([[0.0], np.cumsum(np.mod(way * np.diff(phi), TURN))])
         else:
@@ -324,7 +324,7 @@ def _values(task: DesignProblem, pair: FourBarSolution) -> dict[str, float]:
 
 def _within(task: DesignProblem, name: str, value: float) -> float:
     """Return a value, of a periodic angle the one within its bounds."""
-    quantity = task.quantities.get(name)
+    value, quantity = float(value), task.quantities.get(name)
     if quantity is None or quantity.kind != "angle" or not task.is_periodic(name):
         return value
     low, high = quantity.bounds if quantity.free else (quantity.value - math.pi, quantity.value + math.pi)

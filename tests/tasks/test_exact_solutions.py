@@ -47,16 +47,21 @@ def test_six_four_bars_without_a_usable_one_have_their_defects():
     model = report_model_of(result)
     assert (model.verdict, model.unmoved) == ("No feasible design found", "none of the exact solutions is usable")
     assert conclusions.design(result, ()) == "None of the 12 four-bars that meet the targets exactly is usable."
-    assert (
-        "6 four-bars, 12 with either link as the crank, 0 usable; the others fail by: branch 7, circuit 4, order 1"
-        in result.notes[0]
-    )
+    counts = {name: sum(name in one.reasons for one in found.solutions) for name in ("branch", "circuit", "order")}
+    assert counts == found.reasons
+    told = ", ".join(f"{name} {count}" for name, count in found.reasons.items())
+    assert f"6 four-bars, 12 with either link as the crank, 0 usable; reasons of the others: {told}" in result.notes[0]
 
 
 def test_limits_and_bounds_are_reasons():
     file = optlink.load(POSES / "known-0.toml")
     tight = optlink.synthesis.exact(file.override({"mechanism.rocker.bounds": ["2 mm", "100 mm"]}))
     assert tight.exact_solutions.usable == 2
+    outside = sum(
+        one.values["rocker"] > 0.1 and not {"branch", "order", "circuit"} & {*one.reasons}
+        for one in tight.exact_solutions.solutions
+    )
+    assert tight.exact_solutions.reasons["outside your bounds (rocker 2 ... 100)"] == outside > 0
     assert any(
         one.reasons == ("outside your bounds: rocker 210.2 mm, allowed 2 ... 100",) for one in tight.exact_solutions.solutions
     )

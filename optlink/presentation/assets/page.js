@@ -183,6 +183,62 @@
   addEventListener("resize", reach);
   reach();
 
+  // --- exact solutions as small moving pictures, one of which is chosen --------------------------------------------------------
+  // the next position, and the way to it: round a closed motion, there and back through another one
+  const onward = (at, way, last, closed) => {
+    if (closed) {
+      return [(at + way + last) % last, way];
+    }
+    const turned = at + way < 0 || at + way > last ? -way : way;
+    return [Math.min(Math.max(at + turned, 0), last), turned];
+  };
+  const mover = (stage, motion) => {
+    const pose = motion ? optlinkPose(stage, motion) : () => {};
+    let [at, way] = [0, 1];
+    return () => {
+      [at, way] = motion ? onward(at, way, motion.angles_deg.length - 1, motion.closed) : [at, way];
+      pose(at);
+    };
+  };
+  for (const gallery of document.querySelectorAll(".gallery")) {
+    const motions = JSON.parse(gallery.querySelector("script").textContent);
+    const cards = [...gallery.querySelectorAll("li")];
+    const movers = cards.map((card, k) => mover(card.querySelector(".stage"), motions[k]));
+    const chosen = gallery.querySelector(".chosen");
+    const large = chosen.querySelector(".stage");
+    const choose = (k) => {
+      cards.forEach((card, n) => card.firstElementChild.setAttribute("aria-pressed", String(n === k)));
+      large.innerHTML = cards[k].querySelector(".stage").innerHTML;
+      chosen.querySelector(".told").innerHTML = cards[k].lastElementChild.innerHTML;
+      movers[cards.length] = mover(large, motions[k]);
+    };
+    cards.forEach((card, k) => card.firstElementChild.addEventListener("click", () => choose(k)));
+    choose(0);
+    chosen.hidden = false;
+    const controls = gallery.querySelector(".controls");
+    const button = controls.firstElementChild;
+    controls.hidden = false;
+    let [moving, visible, due] = [false, false, 0];
+    const step = (now) => {
+      if (moving && visible && now >= due) {
+        due = now + 50;
+        movers.forEach((move) => move());
+      }
+      requestAnimationFrame(step);
+    };
+    const play = (wanted) => {
+      moving = wanted;
+      button.textContent = moving ? "❚❚ Pause" : "▶ Play";
+      button.setAttribute("aria-pressed", String(moving));
+    };
+    button.addEventListener("click", () => play(!moving));
+    new IntersectionObserver(([entry]) => {
+      visible = entry.isIntersecting;
+    }).observe(gallery);
+    play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
+    requestAnimationFrame(step);
+  }
+
   // --- the moving linkage -----------------------------------------------------------------------------------------------------
   const stage = document.querySelector(".linkage .stage");
   if (!stage || !motion) {
@@ -247,14 +303,9 @@
   const step = (now) => {
     if (now >= due) {
       due = now + 1000 / 75;
-      let next = at + way;
-      if (motion.closed) {
-        next = (next + last) % last;
-      } else if (next < 0 || next > last) {
-        way = -way;
-        next = at + way;
-      }
-      show(Math.min(Math.max(next, 0), last));
+      let next;
+      [next, way] = onward(at, way, last, motion.closed);
+      show(next);
     }
     timer = requestAnimationFrame(step);
   };

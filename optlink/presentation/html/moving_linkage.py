@@ -1,7 +1,7 @@
 """Animated linkage of an HTML page: drawing, slider and quantities that follow it."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,13 +9,15 @@ import numpy as np
 
 from optlink.dynamics.columns import MotionColumns, efforts
 from optlink.dynamics.machine import slider_names
+from optlink.errors import InputError
 from optlink.io import finite
 from optlink.linkage.vector2d import Array
 from optlink.presentation.chart_spec import max_abs
 from optlink.presentation.export.svg import motion_data, svg
 from optlink.presentation.format import Scale, pretty, scale
 from optlink.presentation.scene import Region, Scene, scene
-from optlink.tasks.analyze import Analysis
+from optlink.problem.file import ProblemFile, fixed_design, started
+from optlink.tasks.analyze import Analysis, analyze
 
 STILLS = 4  # positions that are printed
 STACKED_RATIO = 0.45  # ratio of height to width below which the quantities are shown below the drawing
@@ -146,3 +148,11 @@ def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
         shown = scale(max_abs(values), unit)
         result.append(Readout(label, shown.unit, finite(np.round(values * shown.factor, 4))))
     return result
+
+
+def cycle_of(file: ProblemFile, design: Mapping[str, float], start: float = math.nan) -> Analysis | None:
+    """Analyse the machine of a problem with a design [m, rad]; None if it cannot be assembled, or not at a crank angle [rad]."""
+    try:
+        return analyze(started(fixed_design(file, file.model.sizes(design)), start, 0.0))
+    except InputError:
+        return None

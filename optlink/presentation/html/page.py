@@ -10,6 +10,7 @@ from optlink.errors import InputError, Status
 from optlink.io import whole
 from optlink.presentation.chart_spec import ChartSpec
 from optlink.presentation.format import single_units
+from optlink.presentation.html.gallery import gallery
 from optlink.presentation.html.moving_linkage import Moving, turning
 from optlink.presentation.html.study_page import moving_of, study_page
 from optlink.presentation.registry import view_of
@@ -58,6 +59,9 @@ def _report(model: ReportModel) -> StoredStudy:
         )  # stated once, by the table
         curves = [replace(one, remark="" if one.remark == proof else one.remark) for one in charts(model)]
         sections = [PageSection(view.heading, (list(shown.parts),)), PageSection("Curves", curves)]
+        pictures = gallery(outcome) if getattr(outcome, "exact_solutions", None) is not None else None
+        if pictures is not None:
+            sections.insert(1, PageSection("Exact solutions", (pictures,)))
         if effects is not None:
             tornado = [replace(one, brief=requested) for one in sensitivity.charts(effects)]
             parts: list[Any] = [*tornado, tuple(sensitivity.parts(effects))]

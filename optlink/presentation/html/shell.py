@@ -21,6 +21,7 @@ from optlink.presentation.export.dimensions import Drawing
 from optlink.presentation.format import pretty
 from optlink.presentation.html import theme
 from optlink.presentation.html.chart_plotly import Chart, short
+from optlink.presentation.html.gallery import Gallery
 from optlink.presentation.html.moving_linkage import Moving
 from optlink.presentation.table_spec import Paragraph, Part, TableSpec
 from optlink.presentation.view import PageSection, StoredStudy
@@ -55,7 +56,7 @@ class PageContent:
         """Return the complete document."""
         script, (library, packed) = asset("motion.js") + asset("page.js"), plotly()
         charts = [_chart_data(chart) for chart in self.charts]
-        drawings = [part.svg for section in self.sections for part in section.parts if isinstance(part, Drawing)]
+        drawings = [part.svg for section in self.sections for part in section.parts if isinstance(part, Drawing | Gallery)]
         drawn = [json.dumps(charts), "" if self.moving is None else self.moving.svg(""), *drawings]
         colours = theme.palette(drawn)  # in dark mode
         swapped = "".join(f"--c{colour[1:]}:{other};" for colour, other in colours.items())
@@ -151,6 +152,7 @@ def templates() -> Environment:
         "linkage": Moving,
         "drawing": Drawing,
         "section": PageSection,
+        "gallery": Gallery,
     }
     environment.tests.update({name: lambda shown, kind=kind: isinstance(shown, kind) for name, kind in kinds.items()})
     environment.tests["short"] = lambda cell: max(map(len, cell.text.split("\n"))) <= UNBROKEN_LENGTH  # must not be broken

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from optlink.dynamics.machine import Machine
-from optlink.errors import InputError
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import Array
 from optlink.presentation.chart_mpl import paper
@@ -16,15 +15,14 @@ from optlink.presentation.export.dimensions import Drawing, dimensioned
 from optlink.presentation.format import Scale, single_units
 from optlink.presentation.html import chart_plotly, moving_linkage
 from optlink.presentation.html.chart_plotly import Chart
-from optlink.presentation.html.moving_linkage import Moving
+from optlink.presentation.html.moving_linkage import Moving, cycle_of
 from optlink.presentation.html.shell import MAX_BYTES, STEPS, WIDE, PageContent, arrange, plotly_version, table_width
 from optlink.presentation.scene import MM, Scene, scene_at
 from optlink.presentation.shapes import even
 from optlink.presentation.table_spec import Paragraph, Span, TableSpec
 from optlink.presentation.view import PageSection, StoredStudy
 from optlink.presentation.views import problem_tables
-from optlink.problem.file import ProblemFile, fixed_design
-from optlink.tasks.analyze import Analysis, analyze
+from optlink.problem.file import ProblemFile
 from optlink.version import VERSION
 
 CHARTS, PANELS, ROWS = 2, 2, 8  # largest numbers of charts, of panels of one, and of lines of a table, of the short page
@@ -135,14 +133,6 @@ def _chart(spec: ChartSpec) -> Chart:
         return {k: dimensioned(cycle, f"Point {k + 1}") for k, cycle in cycles.items() if cycle is not None}
 
     return replace(chart, draw=draw)
-
-
-def cycle_of(file: ProblemFile, design: Mapping[str, float]) -> Analysis | None:
-    """Analyse the machine of a problem with a design [m, rad]; None if it cannot be assembled."""
-    try:
-        return analyze(fixed_design(file, file.model.sizes(design)))
-    except InputError:
-        return None
 
 
 def in_time(

@@ -15,6 +15,7 @@ DEFECTS = {
 }
 """Defects of a linkage that meets all targets, and their meaning."""
 BY_TRANSMISSION = "transmission angle"
+MOST_CAUSES = 6  # reasons in the sentence
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class ExactSolution:
     from 0 and 180 deg, over the required motion if it is usable, else at the targets.
 
     `certified`: its dyads are proven to be real; `reasons`: what excludes it: its `DEFECTS`, else checks that it fails; `figure`:
-    the quantity by which they are ranked, in its display unit, of one without a defect.
+    the quantity by which they are ranked, in its display unit, of one without a defect; `crank_angle` [rad] at the first target.
     """
 
     values: Mapping[str, Number]
@@ -32,6 +33,7 @@ class ExactSolution:
     certified: bool
     reasons: tuple[str, ...]
     figure: Number | None = None
+    crank_angle: Number | None = None
 
     @property
     def usable(self) -> bool:
@@ -90,16 +92,30 @@ class ExactSolutions:
         return f"{self.task}: {roots}{missing}{sliders}; {found}{self._others}"
 
     @property
+    def reasons(self) -> dict[str, int]:
+        """How many linkages each reason excludes, the most frequent first; a bound is named."""
+        counts = Counter(cause for one in self.solutions for cause in {_cause(reason) for reason in one.reasons})
+        return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+
+    @property
     def _others(self) -> str:
-        """How many solutions have each reason as their first one."""
-        causes = Counter(one.reasons[0].partition(":")[0] for one in self.solutions if one.reasons)
-        listed = ", ".join(f"{cause} {count}" for cause, count in causes.most_common())
-        return f"; the others fail by: {listed}" if listed else ""
+        """How many solutions have each reason, with the most frequent ones."""
+        listed = ", ".join(f"{cause} {count}" for cause, count in [*self.reasons.items()][:MOST_CAUSES])
+        left = len(self.reasons) - MOST_CAUSES
+        more = f" and {left} more reasons" if left > 0 else ""
+        return f"; reasons of the others: {listed}{more}" if listed else ""
+
+
+def _cause(reason: str) -> str:
+    """Return a reason without the figures of a linkage, but with the bound that it exceeds."""
+    cause, _, rest = reason.partition(": ")
+    size, allowed, bound = rest.partition(", allowed ")
+    return f"{cause} ({size.split()[0]} {bound})" if allowed else cause
 
 
 def document(found: ExactSolutions, displayed: Callable[[Mapping[str, float]], Mapping[str, float]]) -> dict[str, Any]:
     """Return the solutions as part of a JSON document, their dimensions `displayed` in units."""
-    counts = ("roots", "real", "certified", "complex", "sliders", "complete", "special", "usable")
+    counts = ("roots", "real", "certified", "complex", "sliders", "complete", "special", "usable", "reasons")
     shown = ("task", "linkage", *counts, "ranked_by", "unit")
     solutions = [
         {name: getattr(one, name) for name in ("usable", "reasons", "certified", "assembly", "figure")}
