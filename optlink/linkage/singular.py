@@ -180,14 +180,15 @@ def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], last: Pos
     ]
 
 
-def near_singular(pose: Pose, crank_angle: Array) -> NDArray[np.bool_]:
+def near_singular(pose: Pose) -> NDArray[np.bool_]:
     """Return which designs (designs,) may have a singular position, from the alignment of their groups at sampled crank angles.
 
     The pose is that of the designs (designs, 1) at a crank speed of 1 rad/s; the crank angles [rad] are evenly spaced over a
     revolution, the last one step before the first. Between two samples, where the alignment has a minimum and is convex, it lies
     above the intersection of its two tangents.
     """
-    step, near = crank_angle[1] - crank_angle[0], np.zeros(1, dtype=bool)
+    crank_angle, near = as_jet(pose.angle).value, np.zeros(1, dtype=bool)
+    step = crank_angle[1] - crank_angle[0]
     with np.errstate(all="ignore"):
         for group in pose.mechanism.groups:
             alignment = as_jet(group.alignment(pose))
@@ -199,8 +200,9 @@ def near_singular(pose: Pose, crank_angle: Array) -> NDArray[np.bool_]:
     return near
 
 
-def strides(pose: Pose, crank_angle: Array) -> Array:
+def strides(pose: Pose) -> Array:
     """Return those crank angles [rad] of a pose between which no body turns much further than `STRIDE`; all if it has gaps."""
+    crank_angle = np.asarray(pose.angle)
     with np.errstate(all="ignore"):
         parts = (map(as_jet, pose.direction(body)) for body in pose.mechanism.bodies)
         turns = [np.hypot(*(np.diff(np.broadcast_to(part.value, crank_angle.shape)) for part in pair)) for pair in parts]
@@ -208,17 +210,17 @@ def strides(pose: Pose, crank_angle: Array) -> Array:
     if not np.isfinite(travel[-1]):
         return crank_angle
     marks = np.linspace(0.0, travel[-1], 2 + math.ceil(travel[-1] / STRIDE))
-    return np.asarray(crank_angle[np.unique(np.searchsorted(travel, marks))])
+    return crank_angle[np.unique(np.searchsorted(travel, marks))]
 
 
-def clear_of_singular(pose: Pose) -> NDArray[np.bool_]:
-    """Return which designs (designs,) are clear of singular positions, from the alignment of their groups at `strides`.
+def near_alignment(pose: Pose) -> NDArray[np.bool_]:
+    """Return which designs (designs,) may have a singular position, from the alignment of their groups at `strides`.
 
-    It would have to fall to zero and rise again between two of them, faster than it changes between any two.
+    That of the others would have to fall to zero and rise again between two of them, faster than it changes between any two.
     """
-    clear = np.ones(1, dtype=bool)
+    near = np.zeros(1, dtype=bool)
     with np.errstate(all="ignore"):
         for group in pose.mechanism.groups:
             sines = np.atleast_2d(as_jet(group.alignment(pose)).value)
-            clear = clear & (np.min(sines, axis=1) - np.max(np.abs(np.diff(sines)), axis=1, initial=0.0) > TOUCHING)
-    return clear
+            near = near | ~(np.min(sines, axis=1) - np.max(np.abs(np.diff(sines)), axis=1, initial=0.0) > TOUCHING)
+    return near

@@ -21,8 +21,9 @@ from optlink.errors import InputError, UnknownName, nearest
 from optlink.linkage.arguments import check_array, sweep as checked_sweep
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.extrema import distinct, extremes_of_rows
-from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.singular import AlignedPosition, clear_of_singular, near_singular, positions_text, strides
+from optlink.linkage.jet import Jet
+from optlink.linkage.motion import Motion
+from optlink.linkage.singular import AlignedPosition, near_alignment, near_singular, positions_text, strides
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, reachable, travels, within_cycle
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.arguments import typed
@@ -817,7 +818,7 @@ def analyze_batch(
     samples = angles
     if points < SAMPLES and limits is None:
         samples = problem.model.driving.first + TURN * np.arange(revolutions * SAMPLES) / SAMPLES
-    few = strides(given.mechanism.at(given.sizes, samples), samples)
+    few = strides(given.mechanism.at(given.sizes, samples))
     step = 1 if follows else max(1, BLOCK_SIZE // points)
     for first in range(0, count, step):
         for part, defined in _by_slow_stroke(problem, arrays, np.arange(first, min(first + step, count)), single=follows):
@@ -844,15 +845,10 @@ def _singular(driving: Driving, machine: Machine, part: NDArray[np.intp], few: A
     def sizes(some: NDArray[np.intp]) -> dict[str, Value]:
         return {name: np.asarray(size)[some] if np.size(size) > 1 else size for name, size in machine.sizes.items()}
 
-    def unclear(some: NDArray[np.intp]) -> NDArray[np.bool_]:
-        return ~clear_of_singular(mechanism.at(sizes(some), few))
-
-    def near(some: NDArray[np.intp]) -> NDArray[np.bool_]:
-        return near_singular(sweep(mechanism, sizes(some), angles).pose, angles)
-
-    for suspect, count in ((unclear, len(few)), (near, len(angles))):
+    for suspect, at, count in ((near_alignment, few, len(few)), (near_singular, Jet(angles, 1.0), len(angles))):
         blocks = np.array_split(numbers, math.ceil(len(numbers) * count / BLOCK_SIZE) or 1)
-        numbers = np.concatenate([some[np.broadcast_to(suspect(some), some.shape)] for some in blocks if some.size] or [numbers])
+        found = [np.broadcast_to(suspect(mechanism.at(sizes(some), at)), some.shape) for some in blocks if some.size]
+        numbers = numbers[np.concatenate(found)] if found else numbers
     for k in numbers:
         singular = reachable(mechanism, {name: float(np.ravel(size)[0]) for name, size in sizes(np.array([k])).items()}).singular
         if singular:
