@@ -92,12 +92,13 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class _Thing:
-    """A part or pin of an assembly [mm on paper]: the distance `reach` from its core, and its edges; `level` grows upwards."""
+    """A part, pin or opening of an assembly [mm on paper]: within the distance `reach` of its core; `level` grows upwards."""
 
     level: float
     core: Array
     reach: float
-    edges: tuple[tuple[Vertex, ...], ...]
+    edges: tuple[tuple[Vertex, ...], ...] = ()
+    openings: tuple["_Thing", ...] = ()
 
     def depth(self, points: Array) -> Array:
         """Return the distances of points (n, 2) from its edge, negative within it but not below `-reach`."""
@@ -216,8 +217,9 @@ def _assembly(
     things: dict[str, _Thing] = {}
     for name, part in parts.parts.items():
         core, reach = factor * placed(at, name, convex(part))[0], 0.5 * factor * part.width
-        holes = [rounded(factor * placed(at, name, one.ends)[0], 0.5 * factor * one.diameter) for one in part.openings]
-        things[name] = _Thing(levels[name], core, reach, (rounded(core, reach), *holes))
+        ends = [(factor * placed(at, name, one.ends)[0], 0.5 * factor * one.diameter) for one in part.openings]
+        edges = (rounded(core, reach), *itertools.starmap(rounded, ends))
+        things[name] = _Thing(levels[name], core, reach, edges, tuple(_Thing(levels[name], *one) for one in ends))
     for pin in parts.pins:
         core, reach = factor * placed(at, pin.on, pin.at[None])[0], 0.5 * factor * pin.head
         level = max(levels[name] for name in pin.parts) + 0.5
@@ -264,7 +266,8 @@ def _target(alike: Iterable[_Thing], things: Sequence[_Thing]) -> Array:
             )
         ]
         places = np.concatenate([middle[None], np.stack(np.meshgrid(*sides), axis=2).reshape(-1, 2)])
-        clear = [-thing.depth(places), *(other.depth(places) for other in things if other.level > thing.level)]
+        others = [*thing.openings, *(other for other in things if other.level > thing.level)]
+        clear = [-thing.depth(places), *(other.depth(places) for other in others)]
         worth = np.min(clear, axis=0) - 0.01 * np.linalg.norm(places - middle, axis=1)
         found.append((float(worth.max()), places[int(np.argmax(worth))]))
     return max(found, key=itemgetter(0))[1]
