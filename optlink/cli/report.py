@@ -126,7 +126,8 @@ def export(
         console.quantity(at, needed, "--at")
     if not (model.valid or even_invalid):
         _refuse(model, as_json)
-    write(model, output, options)
+    for note in write(model, output, options):
+        print(f"Note: {note}", file=sys.stderr)
     _written(model, output, as_json)
 
 

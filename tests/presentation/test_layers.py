@@ -42,6 +42,8 @@ def pieces(stack: Stacked) -> list[tuple[str, str, np.ndarray, float, float]]:
         found.append((f"pin {pin.name}", pin.on, rounded(pin.at[None], 0.5 * pin.diameter), low, high))
         for begin in (low - pin.height, high) if pin.height else ():
             found.append((f"pin {pin.name}", pin.on, rounded(pin.at[None], 0.5 * pin.head), begin, begin + pin.height))
+    for pin, low, tube in stack.spacers:
+        found.append((f"pin {pin.name}", pin.on, rounded(pin.at[None], 0.5 * tube.width), low, low + tube.thickness))
     return found
 
 
@@ -95,7 +97,7 @@ def test_a_link_in_the_layer_of_another_collides():
     """The oracle of these tests sees the defect, and so does the search."""
     stack = stacked(part_set(of("crank-rocker").cycle))
     flat = {**stack.layers, "coupler": stack.layers["crank"]}
-    assert {"crank", "coupler"} in collisions(Stacked(stack.parts, flat))
+    assert {"crank", "coupler"} in collisions(Stacked(stack.parts, flat, stack.room))
     assert any({one.one, one.other} == {"crank", "coupler"} for one in Stack(stack.parts).collisions(flat))
 
 
@@ -116,7 +118,7 @@ def test_heads_that_meet_in_the_gap_between_two_layers_collide(coupler, collides
     made = part_set(of("crank-rocker", {"parts": {"head": f"{1.02 * near} mm"}}).cycle)
     layers = {"frame": 0, "crank": 1, "coupler": coupler, "rocker": coupler + 1}
     pair = {"pin A", "pin C"}
-    assert (pair in collisions(Stacked(made, layers))) == collides
+    assert (pair in collisions(Stacked(made, layers, dict.fromkeys(("A", "B", "C", "D"), 0.0)))) == collides
     assert any({one.one, one.other} == pair for one in Stack(made).collisions(layers)) == collides
 
 

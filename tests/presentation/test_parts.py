@@ -289,12 +289,15 @@ def test_sizes_of_the_file_are_those_of_the_parts():
     assert wide.parts["crank"].openings[0].diameter == pytest.approx(9.0)
 
 
-def test_a_block_becomes_a_pin_in_a_slot_of_its_travel():
-    """The slot of a slider-crank is as long as the stroke, twice the crank of 100 mm; the block is no part."""
-    made = part_set(of("slider-crank").cycle)
+@pytest.mark.parametrize(("stated", "beyond"), [({}, 3.0), ({"parts.overtravel": "7 mm"}, 7.0)])
+def test_a_block_becomes_a_pin_in_a_slot_of_its_travel(stated, beyond):
+    """The slot of a slider-crank is longer than the stroke, twice the crank of 100 mm, at each end; the block is no part."""
+    made = part_set(of("slider-crank", stated).cycle)
     assert "slider" not in made.parts
+    assert "Pin E stands for slider, which is no part, and runs in a slot of frame." in made.notes
     slot = next(one for one in made.parts["frame"].openings if np.ptp(one.ends, axis=0).max() > 0.0)
-    assert float(np.linalg.norm(slot.ends[1] - slot.ends[0])) == pytest.approx(200.0, abs=1e-6)
+    assert np.sort(slot.ends[:, 0]) == pytest.approx([200.0 - beyond, 400.0 + beyond], abs=1e-6)
+    assert f"Slots are {beyond:g} mm longer than the travel at each end." in made.notes
 
 
 @pytest.mark.parametrize("name", mostly_slow(SHIPPED, "shaper", "whitworth", "slotted-quick-return", "oscillating-cylinder"))
@@ -370,7 +373,7 @@ def test_an_assembly_lies_in_its_layers(tmp_path):
     about = of("crank-rocker")
     stack = stacked(part_set(about.cycle))
     read = read_3mf(written(about, tmp_path / "a.3mf", content="assembly", at=1.0))
-    assert read.keys() == {*stack.parts.parts, *(f"pin {pin.name}" for pin in stack.parts.pins)}
+    assert read.keys() == {*stack.parts.parts, *(f"{kind} {pin.name}" for pin in stack.parts.pins for kind in ("pin", "spacer"))}
     pitch = max(part.thickness for part in stack.parts.parts.values()) + stack.parts.spacer
     for name, layer in stack.layers.items():
         heights = read[name][0][:, 2]
@@ -383,6 +386,13 @@ def test_an_assembly_lies_in_its_layers(tmp_path):
         assert volume(places[faces]) > 0.0
         np.testing.assert_allclose(places[:, :2].mean(axis=0), 1e3 * motion.position(pin.name)[0], atol=1e-6)
         ends = [read[name][0][:, 2] for name in pin.parts]
+        lower, upper = sorted((one.min(), one.max()) for one in ends)
+        spacer, around = read[f"spacer {pin.name}"]
+        assert open_edges(around) == 0
+        assert (spacer[:, 2].min(), spacer[:, 2].max()) == pytest.approx((lower[1], upper[0]))  # fills the gap
+        assert np.linalg.norm(spacer[:, :2] - places[:, :2].mean(axis=0), axis=1).min() == pytest.approx(
+            0.5 * pin.diameter, rel=1e-3
+        )
         assert places[:, 2].min() == pytest.approx(min(one.min() for one in ends) - 0.6 * pin.diameter)
         assert places[:, 2].max() == pytest.approx(max(one.max() for one in ends) + 0.6 * pin.diameter)
         assert np.linalg.norm(places[:, :2] - 1e3 * motion.position(pin.name)[0], axis=1).max() == pytest.approx(
@@ -398,6 +408,18 @@ def test_the_same_design_gives_the_same_file(tmp_path):
     for ending in (".3mf", ".stl", ".svg"):
         once, again = (written(about, tmp_path / f"{name}{ending}", content="parts").read_bytes() for name in "ab")
         assert once == again
+
+
+def test_the_command_says_what_the_parts_leave_open(tmp_path):
+    """A press loses its ram; a drawing and a table have no such notes."""
+    result = run("export", "toggle-press", "-o", str(tmp_path / "a.pdf"))
+    assert result.exit_code == 0
+    assert "Note: Strength is not considered." in result.stderr
+    assert "Note: Pin E stands for ram, which is no part, and runs in a slot of frame." in result.stderr
+    assert "Note" not in run("export", "toggle-press", "-o", str(tmp_path / "a.dxf")).stderr
+    clear = run("export", "toggle-press", "-o", str(tmp_path / "a.svg"), "--content", "parts", "--set", 'parts.pin="19 mm"')
+    assert "Holes have no clearance" in result.stderr
+    assert "Holes have no clearance" not in clear.stderr
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ import optlink
 from optlink.errors import InputError
 from optlink.presentation.export.export import export
 from optlink.presentation.parts import sheet
+from optlink.presentation.parts.layers import stacked
 from optlink.presentation.parts.model import part_set
 from optlink.presentation.report_model import ReportModel, report_model_of
 from optlink.problem.file import fixed_design
@@ -196,11 +197,23 @@ def test_every_part_and_pin_is_listed_and_drawn(name, sheet_of):
     listed = [[one.text for one in sorted(row, key=lambda one: one.box[0, 0])] for row in rows.values()]
     listed = [row for row in listed if len(row) >= 4 and [text.isdigit() for text in row[:3]] == [True, True, False]]
     assert sorted(int(row[0]) for row in listed) == list(range(1, len(listed) + 1))
+    tubes = [row for row in listed if row[2].startswith("spacer ")]
+    listed = [row for row in listed if row not in tubes]
     assert {row[2] for row in listed if not row[2].startswith("pin ")} == parts.parts.keys()
+    if name in UNSTACKED[:3]:
+        assert (tubes, "Layer" in first.words) == ([], False)
+        assert any("cannot be stacked" in word for word in first.words)
+    else:
+        stack = stacked(parts)
+        assert {row[2]: row[4] for row in listed if row[2] in parts.parts} == {body: str(k) for body, k in stack.layers.items()}
+        assert sum(int(row[1]) for row in tubes) == sum(len(pin.parts) - 1 for pin in parts.pins)
+        assert all(re.fullmatch(r"Ø[\d.]+ / Ø[\d.]+ × [\d.]+", row[3]) for row in tubes)
     pins = {name: int(row[1]) for row in listed if row[2].startswith("pin ") for name in row[2][4:].split(", ")}
     assert pins.keys() == {pin.name for pin in parts.pins}
     assert sum(int(row[1]) for row in listed if row[2].startswith("pin ")) == len(parts.pins)
     assert all(" × " in row[3] for row in listed if row[2].startswith("pin ")) == (name not in UNSTACKED[:3])
+    assert {pin.name for pin in parts.pins} <= {*first.words}  # letters at the pins
+    assert any(word.startswith("Strength is not considered.") for word in first.words)
     counted = [word for word in first.words if word.isdigit()]
     assert all(counted.count(row[0]) >= 2 for row in listed)
     captions = [match[2] for page in sheets[1:] for word in page.words if (match := STATED.fullmatch(word))]

@@ -1,6 +1,6 @@
 """Export of a design: drawings, parts to cut or print and their sheets, motion, geometry, a model of MuJoCo, a link of PMKS+."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,8 +58,8 @@ class Options:
         check_range("--points", self.points, 1, MAX_POINTS)
 
 
-def export(model: ReportModel, path: Path, options: Options | None = None) -> None:
-    """Write a design in the format of the file extension.
+def export(model: ReportModel, path: Path, options: Options | None = None) -> Sequence[str]:
+    """Write a design in the format of the file extension; return notes for who makes its parts.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def export(model: ReportModel, path: Path, options: Options | None = None) -> No
         others = [ending for ending, known in FORMATS.items() if options.content in known]
         remedy = f"Write a {' or '.join(others)} file" if others else nearest(options.content, contents)
         raise InputError(f"a {path.suffix} file cannot have this content", remedy, key="--content", value=options.content)
-    contents[options.content or next(iter(contents))](model, model.cycle, path, options)
+    return contents[options.content or next(iter(contents))](model, model.cycle, path, options) or ()
 
 
 def place_of(cycle: Analysis, at: float | None, key: str = "--at", share: float = 0.0) -> float:
@@ -160,7 +160,7 @@ def _json(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> 
     write_json(path, geometry(model, cycle, place_of(cycle, options.at)))
 
 
-def _cutting(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+def _cutting(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> Sequence[str]:
     """Write the parts for laser cutting."""
     from optlink.presentation.export.cutting import WRITERS
     from optlink.presentation.parts.model import part_set
@@ -169,33 +169,38 @@ def _cutting(model: ReportModel, cycle: Analysis, path: Path, options: Options) 
     parts = part_set(cycle, options.hole, options.width)
     with whole(path) as temporary:
         write(parts, model.problem.model.title, temporary)
+    return parts.notes
 
 
-def _printing(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+def _printing(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> Sequence[str]:
     """Write the parts as solids on a plate."""
     from optlink.presentation.export.printing import KERNELS
     from optlink.presentation.parts.model import part_set
 
     kernel = KERNELS[path.suffix.lower()]()
-    solids = [*kernel.on_plate(part_set(cycle, options.hole, options.width))]
+    parts = part_set(cycle, options.hole, options.width)
+    solids = [*kernel.on_plate(parts)]
     with whole(path) as temporary:
         kernel.write(solids, model.problem.model.title, temporary)
+    return parts.notes
 
 
-def _assembly(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
-    """Write the parts and pins as solids in their layers, at a crank angle."""
+def _assembly(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> Sequence[str]:
+    """Write the parts, pins and spacers as solids in their layers, at a crank angle."""
     from optlink.presentation.export.printing import KERNELS
     from optlink.presentation.parts.layers import stacked
     from optlink.presentation.parts.model import part_set
 
     kernel = KERNELS[path.suffix.lower()]()
     motion = sweep(cycle.machine.mechanism, cycle.machine.sizes, [place_of(cycle, options.at)])
-    solids = [*kernel.assembled(stacked(part_set(cycle, options.hole, options.width)), motion)]
+    parts = part_set(cycle, options.hole, options.width)
+    solids = [*kernel.assembled(stacked(parts), motion)]
     with whole(path) as temporary:
         kernel.write(solids, model.problem.model.title, temporary)
+    return parts.notes
 
 
-def _sheet(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+def _sheet(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> Sequence[str]:
     """Write the workshop sheets; those of a design that is not valid say so in their title."""
     from optlink.presentation.export.workshop import WRITERS
     from optlink.presentation.html.shell import letterhead
@@ -207,9 +212,11 @@ def _sheet(model: ReportModel, cycle: Analysis, path: Path, options: Options) ->
     head = {"title": problem.title, **letterhead(model.problem)}
     head["title"] = head["title"] if model.valid else f"NOT VALID: {head['title']}"
     position = sweep(cycle.machine.mechanism, cycle.machine.sizes, [at])
-    drawn = sheets(part_set(cycle, options.hole, options.width), cycle, position, f"assembly, {problem.driving.text(at)}", head)
+    parts = part_set(cycle, options.hole, options.width)
+    drawn, notes = sheets(parts, cycle, position, f"assembly, {problem.driving.text(at)}", head)
     with whole(path) as temporary:
         WRITERS[path.suffix.lower()](drawn, head["title"], temporary)
+    return notes
 
 
 def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
@@ -266,7 +273,7 @@ def _foreign(model: ReportModel, cycle: Analysis, path: Path, options: Options) 
         temporary.write_text(f"{text.rstrip()}\n", encoding="utf-8")
 
 
-Writer = Callable[[ReportModel, Analysis, Path, Options], None]
+Writer = Callable[[ReportModel, Analysis, Path, Options], Sequence[str] | None]
 FORMATS: dict[str, dict[str, Writer]] = {
     ".dxf": {"drawing": _dxf, "parts": _cutting, "sheet": _sheet},
     ".svg": {"drawing": _svg, "parts": _cutting},

@@ -50,7 +50,7 @@ class Kernel(Generic[B]):
             yield self.plate(one.part).moved(np.append(one.shift, 0.0))
 
     def assembled(self, stack: Stacked, motion: Motion) -> Iterator[B]:
-        """Yield every part and pin of the assembly at the first position of a motion."""
+        """Yield every part, pin and spacer of the assembly at the first position of a motion."""
         for name, part in stack.parts.parts.items():
             place, angle = np.zeros(2), 0.0
             if name != FRAME:
@@ -59,6 +59,8 @@ class Kernel(Generic[B]):
             yield self.plate(part).moved(np.append(place, stack.heights[name]), angle)
         for pin in stack.parts.pins:
             yield self.stud(pin, *stack.span(pin)).moved(np.append(_axis(pin, motion), 0.0))
+        for pin, low, part in stack.spacers:
+            yield self.plate(part).moved(np.append(_axis(pin, motion), low))
 
 
 def _axis(pin: Pin, motion: Motion) -> Array:

@@ -16,10 +16,11 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import TURN, Array
-from optlink.presentation.parts.model import FlatPart, PartSet, Pin, distance, placed
+from optlink.presentation.parts.model import HEAD, FlatPart, Opening, PartSet, Pin, distance, placed
 from optlink.presentation.shapes import hull, in_line
 
 CLEARANCE = 0.05  # least distance of two things in one layer, as a share of the hole diameter
+THINNEST = 1.2  # least diameter of a spacer in pin diameters
 LAYERS = 2  # most layers per link, the other ones for heads
 REMEDY = "Try a smaller [parts] hole, or head = the diameter of the pins; --content parts needs no layers"
 
@@ -70,6 +71,17 @@ class Stack:
         worst = min(self.collisions(next(filter(None, tries))), key=lambda one: one.overlap)
         message = f"the links cannot be stacked: {worst.one} and {worst.other} collide at a crank angle of"
         raise InputError(f"{message} {math.degrees(math.fmod(worst.at, TURN)):.4g} deg", REMEDY, self.parts.file)
+
+    def room(self, pin: Pin, layers: Mapping[str, int]) -> float:
+        """Return the radius [mm] that is free around a pin between its parts, where others have spacers."""
+        among = [layers[name] for name in pin.parts]
+        levels = range(2 * min(among) + 1, 2 * max(among))
+        radii = [(name, 0.5 * part.width) for name, part in self.parts.parts.items() if 2 * layers[name] in levels]
+        for other in self.parts.pins:
+            radius = max((self._radius(other, layers, level) for level in levels), default=0.0)
+            radii.append((other.name, max(radius, 0.5 * HEAD * other.diameter) if radius else 0.0))
+        others = [(name, radius) for name, radius in radii if radius and name not in (pin.name, *pin.parts)]
+        return min((self._gap(pin.name, name).least - radius for name, radius in others), default=math.inf) - self.slack
 
     def _placed(self, layers: Mapping[str, int], top: int, allowed: int) -> dict[str, int] | None:
         """Return the layers of all links, of which some have theirs, with so many collisions at most; None if there are none."""
@@ -138,15 +150,26 @@ class Stack:
 
 @dataclass(frozen=True, eq=False)
 class Stacked:
-    """Parts in layers."""
+    """Parts in layers; `room` [mm]: the radius that is free around every pin between its parts."""
 
     parts: PartSet
     layers: Mapping[str, int]
+    room: Mapping[str, float]
 
     @cached_property
     def heights(self) -> dict[str, float]:
         """Height of the lower face of every part [mm]."""
         return {name: layer * self.parts.pitch for name, layer in self.layers.items()}
+
+    @property
+    def spacers(self) -> Iterator[tuple[Pin, float, FlatPart]]:
+        """Tubes on a pin between two of its parts, as thick as the gap, with the height of their lower face [mm]."""
+        for pin in self.parts.pins:
+            faces = sorted((self.heights[name], self.heights[name] + self.parts.parts[name].thickness) for name in pin.parts)
+            bore = Opening(pin.name, np.zeros((2, 2)), pin.diameter)
+            outer = min(HEAD * pin.diameter, 2.0 * self.room[pin.name])
+            for (_, low), (high, _) in itertools.pairwise(faces) if outer > THINNEST * pin.diameter else ():
+                yield pin, low, FlatPart(f"spacer {pin.name}", (bore,), {}, outer, high - low, "", np.zeros(2), np.zeros(2))
 
     def span(self, pin: Pin) -> tuple[float, float]:
         """Return the heights [mm] between which a pin passes through parts."""
@@ -162,7 +185,9 @@ def stacked(parts: PartSet) -> Stacked:
     InputError
         If there are none.
     """
-    return Stacked(parts, Stack(parts).layers())
+    stack = Stack(parts)
+    layers = stack.layers()
+    return Stacked(parts, layers, {pin.name: stack.room(pin, layers) for pin in parts.pins})
 
 
 def convex(part: FlatPart) -> Array:

@@ -24,6 +24,7 @@ from optlink.tasks.analyze import Analysis
 
 MM = 1e3
 THICKNESS, SPACER = 0.75, 0.2  # default thickness of links and washers in hole diameters
+OVERTRAVEL = 0.25  # default length of a slot beyond the travel at each end in hole diameters
 HEAD, HEAD_HEIGHT = 1.6, 0.6  # default diameter and height of a pin's head in pin diameters
 STEPS = 720  # positions per revolution at which slots, pins and distances are computed
 SAME = 1e-6  # distance of coincident points, as a share of the hole diameter
@@ -101,13 +102,17 @@ class Pin:
 
 @dataclass(frozen=True, eq=False)
 class PartSet:
-    """The parts and pins of a linkage over its motion; `spacer` [mm] between two layers, `file` names the problem in errors."""
+    """The parts and pins of a linkage over its motion; `spacer` [mm] between two layers, `file` names the problem in errors.
+
+    `notes`: sentences for who makes them.
+    """
 
     parts: Mapping[str, FlatPart]
     pins: tuple[Pin, ...]
     spacer: float
     motion: Motion
     file: str
+    notes: tuple[str, ...]
 
     @property
     def pitch(self) -> float:
@@ -154,15 +159,21 @@ class _Maker:
         extent = min(max(drawn.box[2:]), MAX_HOLE_SHARE * least / HOLE)
         self.hole = self._size(self.section.hole, usual_hole(extent), hole)
         self.width = self._size(self.section.width, WIDTH * self.hole, width)
-        self.thickness = self._size(self.section.thickness, round(round_below(THICKNESS * self.hole, room=1e-9), 6))
+        self.thickness = self._share(self.section.thickness, THICKNESS)
+        self.overtravel = self._share(self.section.overtravel, OVERTRAVEL)
 
     @staticmethod
     def _size(stated: Quantity | None, usual: float, option: float | None = None) -> float:
         """Return a size [mm]: that of the option [m], of the file, or the usual one."""
         return MM * option if option is not None else usual if stated is None else MM * stated.value
 
+    def _share(self, stated: Quantity | None, share: float) -> float:
+        """Return a size [mm]: that of the file, or about a share of the hole diameter."""
+        return self._size(stated, round(round_below(share * self.hole, room=1e-9), 6))
+
     def made(self) -> PartSet:
         """Return parts and pins."""
+        notes = ["Strength is not considered."]
         openings: dict[str, list[Opening]] = {body: [] for body in (FRAME, *self.mechanism.bodies)}
         pins: list[Pin] = []
         blocks = dict(self._blocks())
@@ -176,6 +187,7 @@ class _Maker:
             if guide is not None and slotted is not None:
                 openings[slotted].append(self._slot(name, guide, slotted))
                 bodies.append(slotted)
+                notes.append(f"Pin {name} stands for {guide.other(slotted)}, which is no part, and runs in a slot of {slotted}.")
             pins.append(self._pin(name, on, self.points[on][name], bodies))
         for guide in self._guides(blocks):
             for end, at in zip("ab", self._ends(guide), strict=True):
@@ -184,8 +196,11 @@ class _Maker:
                 pins.append(self._pin(name, guide.slider, at, [guide.slider, guide.on]))
             openings[guide.on].append(self._slot(guide.name, guide, guide.on))
         parts = {body: self._part(body, tuple(found)) for body, found in openings.items() if found and body not in blocks}
-        spacer = self._size(self.section.spacer, round(round_below(SPACER * self.hole, room=1e-9), 6))
-        return PartSet(parts, tuple(pins), spacer, self.motion, self.file)
+        if any(not one.round for part in parts.values() for one in part.openings):
+            notes.append(f"Slots are {number(self.overtravel)} mm longer than the travel at each end.")
+        if any(self._of_joint(pin.name)[0] == pin.diameter for pin in pins):
+            notes.append("Holes have no clearance for their pins.")
+        return PartSet(parts, tuple(pins), self._share(self.section.spacer, SPACER), self.motion, self.file, tuple(notes))
 
     def _blocks(self) -> Iterator[tuple[str, Guide]]:
         """Yield the bodies that only join a pin to a guide."""
@@ -231,19 +246,12 @@ class _Maker:
         point, direction = (np.array([float(part) for part in one]) for one in self.motion.pose.local_line(guide, body))
         slides = np.asarray(self.motion.slide(guide.name).value)
         k = int(np.flatnonzero(np.isfinite(slides))[0])
-        if body == guide.on:
-            ends = MM * (point + np.array([[low], [high]]) * direction)
-            other = guide.slider
-        else:
-            ends = np.zeros((2, 2))
-            other = guide.on
+        way, beyond = direction if body == guide.on else -direction, self.overtravel
         if name in self.mechanism.pins:  # the pin of a block
-            place = local(self.motion, body, MM * self.motion.position(name))[k]
-            way = direction if body == guide.on else -direction
-            ends = place + MM * (np.array([[low], [high]]) - slides[k]) * way
+            place = local(self.motion, body, MM * self.motion.position(name))[k] - MM * slides[k] * way
         else:
-            ends += np.array([[-1.0], [1.0]]) * self._width(other) * direction
-        return self._opening(name, ends)
+            place, beyond = MM * point, beyond + self._width(guide.slider)
+        return self._opening(name, place + (MM * np.array([[low], [high]]) + beyond * np.array([[-1.0], [1.0]])) * way)
 
     def _ends(self, guide: Guide) -> Array:
         """Return the places (2, 2) of the two pins of a sliding body."""

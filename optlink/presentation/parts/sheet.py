@@ -6,6 +6,7 @@ import math
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from optlink.presentation.parts.view import (
     Words,
     box,
     circle,
+    letters,
     part_view,
     scale_text,
     segment,
@@ -44,7 +46,7 @@ SMALLEST = 3.0  # diameter of a hole on paper below which its part is enlarged
 LABEL = 1.8  # height of the letters that name a cell
 TOLERANCE = "ISO 2768-m"
 ROW = 6.0  # height of a row of the parts list
-COLUMNS = {"Pos.": 13.0, "Qty": 12.0, "Name": 60.0, "Size": 55.0, "Material": 40.0}
+COLUMNS = {"Pos.": 12.0, "Qty": 10.0, "Name": 50.0, "Size": 50.0, "Layer": 25.0, "Material": 33.0}
 BLOCK = (
     (9.0, {"general tolerance": 60.0, "unit": 25.0, "scale": 35.0, "paper": 25.0, "sheet": 35.0}),
     (9.0, {"part": 60.0, "revision": 25.0, "author": 60.0, "date": 35.0}),
@@ -52,6 +54,7 @@ BLOCK = (
 )
 """Rows of the title block from below: height, and widths by label."""
 BALLOON = 4.5  # radius
+GRID = 41  # places for the tip of a balloon in each direction
 STEP = 0.5  # distance of the points at which the edges of an assembly are hidden or not
 
 
@@ -78,27 +81,29 @@ class View:
 
 @dataclass(frozen=True)
 class Entry:
-    """A row of the parts list; `members` are the parts or pins that are such."""
+    """A row of the parts list; `members` are the parts, pins or spacers that are such."""
 
     name: str
     size: str
-    material: str
     members: tuple[str, ...]
+    layer: str = ""
+    material: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class _Thing:
-    """A part or pin of an assembly [mm on paper]: the distance `reach` from its core, and its edges; `level` grows upwards."""
+    """A part, pin or opening of an assembly [mm on paper]: within the distance `reach` of its core; `level` grows upwards."""
 
     level: float
     core: Array
     reach: float
-    edges: tuple[tuple[Vertex, ...], ...]
+    edges: tuple[tuple[Vertex, ...], ...] = ()
+    openings: tuple["_Thing", ...] = ()
 
-    def hides(self, points: Array) -> Array:
-        """Return whether points (n, 2) lie within it."""
+    def depth(self, points: Array) -> Array:
+        """Return the distances of points (n, 2) from its edge, negative within it but not below `-reach`."""
         core = np.broadcast_to(self.core, (len(points), *self.core.shape))
-        return np.asarray(distance(points[:, None], core) < self.reach - SAME)
+        return distance(points[:, None], core) - self.reach
 
 
 @dataclass(eq=False)
@@ -111,8 +116,12 @@ class _Row:
     x: float
 
 
-def sheets(parts: PartSet, cycle: Analysis, at: Motion, caption: str, head: Mapping[str, str]) -> list[Sheet]:
+def sheets(
+    parts: PartSet, cycle: Analysis, at: Motion, caption: str, head: Mapping[str, str]
+) -> tuple[list[Sheet], tuple[str, ...]]:
     """Return the sheets of parts: the assembly at the only position of `at` with a caption, then the parts by their scales.
+
+    The second result are the notes that stand on the first sheet.
 
     `head`: facts of the title block by name: title, company, author, part, revision, date.
 
@@ -121,17 +130,23 @@ def sheets(parts: PartSet, cycle: Analysis, at: Motion, caption: str, head: Mapp
     InputError
         If a part has more dimensions than a sheet has room for.
     """
+    layers: Stacked | None = None
+    notes = parts.notes
     try:
-        layers: Stacked | None = stacked(parts)
-    except InputError:  # the parts can be drawn; their order in the assembly and the lengths of the pins remain open
-        layers = None
+        layers = stacked(parts)
+        notes = (*notes, f"Layers are {number(parts.pitch)} mm apart.")
+        bare = ", ".join(sorted({pin.name for pin in parts.pins} - {pin.name for pin, *_ in layers.spacers}))
+        notes = (*notes, *([f"Without room for spacers: {bare}."] if bare else []))
+    except InputError as error:  # the parts can be drawn; their order in the assembly and the lengths of the pins remain open
+        message = error.faults[0].message
+        notes = (*notes, f"{message[0].upper()}{message[1:]}.")
     entries = [*_entries(parts, layers)]
     assembly = functools.partial(_assembly, parts, layers, entries, at, caption)
     least = min(one.diameter for part in parts.parts.values() for one in part.openings)
-    first, paper = _fitting(
-        assembly, least, lambda paper: (_above(paper, len(entries) + 1), _beside(paper)), "the assembly", parts.file
-    )
-    pages = [(paper, [View(first.factor, moved(_parts_list(entries), _corner(paper))), first])]
+    listed = [*_parts_list(entries, " ".join(notes))]
+    rows = math.ceil(float(np.ptp(box(listed), axis=0)[1]) / ROW)
+    first, paper = _fitting(assembly, least, lambda paper: (_above(paper, rows), _beside(paper)), "the assembly", parts.file)
+    pages = [(paper, [View(first.factor, moved(listed, _corner(paper))), first])]
     tolerances, views, large = dict(_tolerances(parts, cycle)), list[View](), 0
     for k, (entry, part) in enumerate(zip(entries, parts.parts.values(), strict=False), 1):
         remarks = filter(None, ("   ".join(filter(None, (entry.size, entry.material))), part.note))
@@ -147,7 +162,7 @@ def sheets(parts: PartSet, cycle: Analysis, at: Motion, caption: str, head: Mapp
     for k, (paper, page) in enumerate(pages, 1):
         drawn = itertools.chain.from_iterable(view.items for view in page)
         made.append(Sheet(PAPERS[paper], (*drawn, *_frame(paper, page, f"{k} / {len(pages)}", head))))
-    return made
+    return made, notes
 
 
 def moved(items: Iterable[Item], shift: Array) -> tuple[Item, ...]:
@@ -172,17 +187,23 @@ def _tolerances(parts: PartSet, cycle: Analysis) -> Iterator[tuple[tuple[str, st
 
 
 def _entries(parts: PartSet, layers: Stacked | None) -> Iterator[Entry]:
-    """Yield the rows of the parts list: every part, and pins of one size together."""
+    """Yield the rows of the parts list: every part, pins and spacers of one size together."""
     for name, part in parts.parts.items():
-        yield Entry(name, f"t = {number(part.thickness)}", part.material, (name,))
-    groups: dict[str, list[str]] = {}
+        yield Entry(name, f"t = {number(part.thickness)}", (name,), str(layers.layers[name]) if layers else "", part.material)
+    groups: dict[tuple[str, str, str], list[str]] = {}
     for pin in parts.pins:
-        low, high = layers.span(pin) if layers else (0.0, 0.0)
-        length = f" × {number(high - low)}" if layers else ""
+        length, layer = "", ""
+        if layers:
+            among = [layers.layers[name] for name in pin.parts]
+            low, high = layers.span(pin)
+            length, layer = f" × {number(high - low)}", f"{min(among)}–{max(among)}"
         head = f", heads Ø{number(pin.head)}" if pin.height else ""
-        groups.setdefault(f"Ø{number(pin.diameter)}{length}{head}", []).append(pin.name)
-    for size, names in groups.items():
-        yield Entry(f"pin {', '.join(names)}", size, "", tuple(names))
+        groups.setdefault(("pin", f"Ø{number(pin.diameter)}{length}{head}", layer), []).append(pin.name)
+    for pin, _, tube in layers.spacers if layers else ():
+        size = f"Ø{number(tube.width)} / Ø{number(pin.diameter)} × {number(tube.thickness)}"
+        groups.setdefault(("spacer", size, ""), []).append(pin.name)
+    for (kind, size, layer), names in groups.items():
+        yield Entry(f"{kind} {', '.join(dict.fromkeys(names))}", size, tuple(f"{kind} {name}" for name in names), layer)
 
 
 # --- the assembly ------------------------------------------------------------------------------------------------------------
@@ -196,8 +217,9 @@ def _assembly(
     things: dict[str, _Thing] = {}
     for name, part in parts.parts.items():
         core, reach = factor * placed(at, name, convex(part))[0], 0.5 * factor * part.width
-        holes = [rounded(factor * placed(at, name, one.ends)[0], 0.5 * factor * one.diameter) for one in part.openings]
-        things[name] = _Thing(levels[name], core, reach, (rounded(core, reach), *holes))
+        ends = [(factor * placed(at, name, one.ends)[0], 0.5 * factor * one.diameter) for one in part.openings]
+        edges = (rounded(core, reach), *itertools.starmap(rounded, ends))
+        things[name] = _Thing(levels[name], core, reach, edges, tuple(_Thing(levels[name], *one) for one in ends))
     for pin in parts.pins:
         core, reach = factor * placed(at, pin.on, pin.at[None])[0], 0.5 * factor * pin.head
         level = max(levels[name] for name in pin.parts) + 0.5
@@ -206,9 +228,10 @@ def _assembly(
     for thing in things.values():
         above = [other for other in things.values() if other.level > thing.level]
         items += [line for edge in thing.edges for line in _visible(edge, above)]
-    members = [[things.get(name) or things[f"pin {name}"] for name in one.members] for one in entries]
-    targets = [_target(alike, [*things.values()]) for alike in members]
+    shown = [[things[name] for name in one.members] for one in entries if one.members[0] in things]
+    targets = [_target(alike, [*things.values()]) for alike in shown]
     items += _balloons(np.array(targets), box(items))
+    items += letters([(pin.name, things[f"pin {pin.name}"].core[0], 0.5 * factor * pin.head) for pin in parts.pins], items)
     low = box(items)[0]
     return *items, Words(caption, low - [0.0, FIRST], align="left")
 
@@ -221,7 +244,7 @@ def _visible(edge: tuple[Vertex, ...], above: Iterable[_Thing]) -> Iterator[Line
         np.linspace(a, b, max(1, math.ceil(np.linalg.norm(b - a) / STEP)), endpoint=False) for a, b in itertools.pairwise(ends)
     ]
     points = np.concatenate([*pieces, ends[-1:]])
-    hidden = np.any([thing.hides(points) for thing in above] or [np.zeros(len(points), dtype=bool)], axis=0)
+    hidden = np.any([thing.depth(points) < -SAME for thing in above] or [np.zeros(len(points), dtype=bool)], axis=0)
     if not hidden.any():
         yield Line(edge, "outline", closed=True)
         return
@@ -231,17 +254,23 @@ def _visible(edge: tuple[Vertex, ...], above: Iterable[_Thing]) -> Iterator[Line
 
 
 def _target(alike: Iterable[_Thing], things: Sequence[_Thing]) -> Array:
-    """Return the place at which the balloon of parts or pins points: along a core or beside it, if possible hidden by nothing."""
-    found: list[tuple[bool, Array]] = []
+    """Return the place at which the balloon of parts or pins points: far from edges and from what hides it, near a middle."""
+    found: list[tuple[float, Array]] = []
     for thing in alike:
-        core, shares = thing.core, np.array([[0.5], [0.4], [0.6], [0.3], [0.7], [0.2], [0.8]])
-        begin, end = max(itertools.product(core, core), key=lambda pair: float(np.linalg.norm(pair[1] - pair[0])))
-        around = thing.reach * np.array([[0.0, 0.8], [0.0, -0.8], [-0.8, 0.0], [0.8, 0.0]])
-        places = np.concatenate([core.mean(axis=0)[None], begin + shares * (end - begin), *(corner + around for corner in core)])
-        above = [other.hides(places) for other in things if other.level > thing.level]
-        hidden = np.any(above or [np.zeros(len(places))], axis=0)
-        found.append((bool(hidden.all()), places[int(np.argmin(hidden))]))
-    return min(found, key=lambda one: one[0])[1]
+        middle = thing.core.mean(axis=0)
+        sides = [
+            np.linspace(low, high, GRID)
+            for low, high in zip(
+                *(thing.reach * way + end for way, end in ((-1.0, thing.core.min(axis=0)), (1.0, thing.core.max(axis=0)))),
+                strict=True,
+            )
+        ]
+        places = np.concatenate([middle[None], np.stack(np.meshgrid(*sides), axis=2).reshape(-1, 2)])
+        others = [*thing.openings, *(other for other in things if other.level > thing.level)]
+        clear = [-thing.depth(places), *(other.depth(places) for other in others)]
+        worth = np.min(clear, axis=0) - 0.01 * np.linalg.norm(places - middle, axis=1)
+        found.append((float(worth.max()), places[int(np.argmax(worth))]))
+    return max(found, key=itemgetter(0))[1]
 
 
 def _balloons(targets: Array, within: Array) -> Iterator[Item]:
@@ -265,16 +294,18 @@ def _balloons(targets: Array, within: Array) -> Iterator[Item]:
 # --- tables and layout -------------------------------------------------------------------------------------------------------
 
 
-def _parts_list(entries: Sequence[Entry]) -> Iterator[Item]:
-    """Yield the parts list from its lower left corner upwards; without a column of materials if none is stated."""
-    columns = {name: wide for name, wide in COLUMNS.items() if name != "Material" or any(one.material for one in entries)}
-    columns["Size"] += sum(COLUMNS.values()) - sum(columns.values())
-    facts = [(str(k), str(len(one.members)), one.name, one.size, one.material) for k, one in enumerate(entries, 1)]
-    for k, row in enumerate([tuple(columns), *facts]):
-        x = 0.0
-        for wide, text in zip(columns.values(), row, strict=False):
+def _parts_list(entries: Sequence[Entry], notes: str) -> Iterator[Item]:
+    """Yield the parts list from its lower left corner upwards, without empty columns, and the notes above it."""
+    facts = [(str(k), str(len(one.members)), one.name, one.size, one.layer, one.material) for k, one in enumerate(entries, 1)]
+    table = {name: texts for name, *texts in zip(COLUMNS, *facts, strict=True) if any(texts)}
+    spare, x = sum(COLUMNS[name] for name in COLUMNS if name not in table), 0.0
+    for name, texts in table.items():
+        wide = COLUMNS[name] + spare * (name == "Size")
+        for k, text in enumerate([name, *texts]):
             yield from _cell("", text, np.array([x, k * ROW]), np.array([wide, ROW]))
-            x += wide
+        x += wide
+    high = 4.5 * GAP + 1.5 * SMALL * math.ceil(width(notes, SMALL) / (0.9 * x))
+    yield from _cell("notes", notes, np.array([0.0, (len(entries) + 1) * ROW]), np.array([x, high]))
 
 
 def _frame(paper: str, page: Sequence[View], count: str, head: Mapping[str, str]) -> Iterator[Item]:

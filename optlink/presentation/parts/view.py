@@ -13,6 +13,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.export.dxf import Vertex, rounded
 from optlink.presentation.parts.model import FlatPart, Opening, number
 from optlink.presentation.parts.solids import polygon
+from optlink.presentation.placement import arrange, beside, short_name
 
 TEXT, SMALL = 3.5, 2.5  # heights of letters
 ARROW = 3.0
@@ -21,6 +22,7 @@ FIRST, ROW = 9.0, 7.5  # distance of the first dimension line from the outline, 
 LETTER, WIDE_LETTER = 0.9, 1.6  # widths of letters in heights
 CROSS = 2.0  # of a centre line beyond its hole
 SAME = 1e-6  # distance of coincident lines
+REACHES = np.array([0.8, 2.5, 5.0, 8.0])  # distances of a name from its circle
 LYING = 1.4  # height of a part that lies on its side, in widths
 SLOPE, FAR = math.radians(60.0), 12.0  # slope of leaders, and how far they go to the side
 Style = Literal["outline", "thin", "centre", "solid"]
@@ -52,6 +54,11 @@ class Line:
         """Its polygon (n, 2)."""
         return polygon(self.vertices)
 
+    @property
+    def traces(self) -> tuple[Array, ...]:
+        """Its line (n, 2)."""
+        return (np.concatenate([self.corners, self.corners[: int(self.closed)]]),)
+
     def draw(self, pen: Pen) -> None:
         """Draw it by a pen."""
         pen.line(self)
@@ -81,6 +88,11 @@ class Words:
         return np.asarray(
             self.at + np.array([[low, -half], [high, -half], [high, half], [low, half]]) @ np.array([[c, s], [-s, c]])
         )
+
+    @property
+    def traces(self) -> tuple[Array, ...]:
+        """A line (n, 2) across its letters."""
+        return (self.corners[[0, 1, 2, 3, 0, 2, 1, 3]],)
 
     def draw(self, pen: Pen) -> None:
         """Draw it by a pen."""
@@ -142,6 +154,11 @@ class Measure:
     def corners(self) -> Array:
         """Corners (n, 2) of what is drawn."""
         return np.concatenate([piece.corners for piece in self.pieces])
+
+    @property
+    def traces(self) -> tuple[Array, ...]:
+        """Lines (n, 2) of what is drawn."""
+        return tuple(trace for piece in self.pieces for trace in piece.traces)
 
     def draw(self, pen: Pen) -> None:
         """Draw it by a pen."""
@@ -231,10 +248,24 @@ def part_view(
         items.append(Measure(ends, float(high[0]) + FIRST, True, factor))
     items += _labels(_diameters(part, paper, factor), float(high[1]) + FIRST, -1.0)
     items += _labels([_radius(part, outline, factor, bar)], float(high[1]) + FIRST, 1.0)
+    items += letters([*{name: (name, at, radius) for name, at, radius in (*places, *marks)}.values()], items)
     left, bottom = box(items)[0]
     for k, text in enumerate((f"{caption}   {scale_text(factor)}", *remarks)):
         items.append(Words(text, np.array([left, bottom - FIRST - 2.0 * TEXT * k]), align="left"))
     return tuple(items)
+
+
+def letters(points: Sequence[tuple[str, Array, float]], items: Iterable[Item]) -> list[Words]:
+    """Return names beside circles of centres (2,) and radii, clear of what is drawn."""
+    names = [short_name(name) for name, *_ in points]
+    drawing = [(trace[None], 1.0) for item in items for trace in item.traces]
+    texts = []
+    for name, (_, at, radius) in zip(names, points, strict=True):
+        half = 0.5 * np.array([width(name, SMALL), SMALL])
+        others = [other[None] for _, other, _ in points if other is not at]
+        texts.append(beside(at[None], half, radius + REACHES, 0.5, others, (0.1, 0.1)))
+    places = [text.at[0] + text.middles[choice[0]] for text, choice in zip(texts, arrange(texts, drawing, SMALL), strict=True)]
+    return [Words(name, place, SMALL) for name, place in zip(names, places, strict=True)]
 
 
 Label = tuple[str, Array, float]

@@ -48,6 +48,8 @@ class PartsSection(LinkPart, JointPart):
     """Diameter of the heads at both ends of a pin, that of the pin for one without heads; default: 1.6 times that of the pin."""
     spacer: FixedLength | None = None
     """Thickness of the washers between two layers of links; default: about a fifth of the diameter of the holes."""
+    overtravel: FixedLength | None = None
+    """Length of a slot beyond the travel of its pin, at each end; default: about a quarter of the diameter of the holes."""
     links: dict[Name, LinkPart] = Field(default_factory=dict)
     """Links that differ from the others, by name; `frame` is the plate with the fixed pivots."""
     joints: dict[Name, JointPart] = Field(default_factory=dict)
