@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
 
 from optlink.errors import InputError, UnknownName, extra_remedy, nearest
-from optlink.io import Frozen, folder as made, whole
+from optlink.io import folder as made, whole
 from optlink.presentation.columns import file_units, in_units
 from optlink.presentation.registry import stored_page, table_of as table_of_kind, view_of
 from optlink.presentation.view import registered_charts
@@ -248,8 +248,7 @@ def table_of(result: Document, name: str | None) -> Mapping[str, Iterable[float 
 
 def to_frame(result: Document, name: str | None = None, units: str = "SI") -> pandas.DataFrame:
     """Return a table of a result; see `Document.to_frame`."""
-    check_choice("units", units, ("SI", "file"), "no such units")
-    return frame_of(table_of(result, name), file_units(result.problem) if units == "file" else {})
+    return frame_of(table_of(result, name), result.problem, units)
 
 
 def to_latex(result: Document, buf: str | Path | TextIO | None, name: str | None, columns: Sequence[str] | None) -> str:
@@ -273,19 +272,21 @@ def to_latex(result: Document, buf: str | Path | TextIO | None, name: str | None
     return text
 
 
-def frame_of(table: Mapping[str, Iterable[float | str]], units: Mapping[str, str] = Frozen()) -> pandas.DataFrame:
-    """Return a table as a data frame with its units in `attrs`; `units` are those in place of units of SI, by these.
+def frame_of(table: Mapping[str, Iterable[float | str]], problem: ProblemFile, units: str) -> pandas.DataFrame:
+    """Return a table of a problem as a data frame in SI or in the units of its file, which stand in `attrs`.
 
     Raises
     ------
     InputError
         If pandas is not installed.
     """
+    check_choice("units", units, ("SI", "file"), "no such units")
     try:
         import pandas
     except ImportError:
         raise InputError("to_frame needs the package pandas, which is not installed", extra_remedy("frame")) from None
-    columns = [in_units(key, values, units) for key, values in table.items()]
+    other = file_units(problem) if units == "file" else {}
+    columns = [in_units(key, values, other) for key, values in table.items()]
     frame = pandas.DataFrame({column.key: column.values for column in columns})
     frame.attrs["units"] = {column.key: column.unit for column in columns if column.unit}
     return frame
