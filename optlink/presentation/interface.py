@@ -280,6 +280,7 @@ def in_frame(table: Mapping[str, Iterable[float | str]], problem: ProblemFile, u
     InputError
         If pandas is not installed.
     """
+    check_choice("units", units, ("SI", "file"), "no such units")
     try:
         import pandas
     except ImportError:

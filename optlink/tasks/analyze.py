@@ -718,7 +718,9 @@ class BatchAnalysis(dict[str, Array]):
         self.notes: list[str] = []
 
     def __repr__(self) -> str:
-        return f"<BatchAnalysis {self.problem.name!r}: {len(self.valid)} designs, {', '.join(self)}>"
+        return (
+            f"<BatchAnalysis {self.problem.name!r}: {', '.join(self)}; {np.sum(self.valid)} of {len(self.valid)} designs valid>"
+        )
 
     def __missing__(self, name: str) -> Array:
         raise UnknownName(f"no column {name}", nearest(str(name), self))
@@ -726,8 +728,8 @@ class BatchAnalysis(dict[str, Array]):
     def to_frame(self, *, units: str = "SI") -> pandas.DataFrame:
         """Return a data frame of pandas with a row per design: its sizes, `valid`, then least, largest and rms of each column.
 
-        Their names end in ".min", ".max" and ".rms"; those of a design that is not valid are NaN where a value is.
-        `frame.attrs["units"]` has the unit of each column with one.
+        These are those of the points. Their names end in ".min", ".max" and ".rms"; those of a design that is not valid are NaN
+        where a value is. `frame.attrs["units"]` has the unit of each column with one.
 
         Parameters
         ----------
@@ -750,7 +752,7 @@ class BatchAnalysis(dict[str, Array]):
 @typed
 def analyze_batch(
     problem: AnyProblem,
-    designs: Mapping[str, ArrayLike],
+    designs: Mapping[str, ArrayLike | float],
     columns: Sequence[str] | None = None,
     points: int = 360,
     speed: float | None = None,
@@ -761,9 +763,9 @@ def analyze_batch(
     ----------
     problem : ProblemFile, str or Path
         From `optlink.load`, the name of a shipped problem, or a file.
-    designs : mapping of str to array (designs,) [SI]
-        Values by the name of the dimension, for example {"coupler.length": [0.14, 0.15]}; `optlink show` lists the names. Other
-        dimensions keep the value of the problem.
+    designs : mapping of str to array (designs,) or float [SI]
+        Values by the name of the dimension, for example {"coupler.length": [0.14, 0.15]}; `optlink show` lists the names. One
+        number is that of all designs; other dimensions keep the value of the problem.
     columns : sequence of str, optional
         Names as in `Analysis.columns`. Default: the torque or force of each drive.
     points : int
@@ -955,12 +957,14 @@ def _column(machine: Machine, speed: float, name: str, angles: Array) -> Array:
     return values[0] if len(values) == 1 else np.hypot(*values)
 
 
-def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike]) -> dict[str, Array]:
+def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike | float]) -> dict[str, Array]:
     quantities = problem.model.mechanism.quantities
     try:
-        arrays = {name: np.atleast_1d(np.asarray(values, dtype=float)) for name, values in designs.items()}
+        given = {name.removeprefix("mechanism."): np.asarray(values, dtype=float) for name, values in designs.items()}
     except (TypeError, ValueError) as error:
         raise InputError(f"not an array of numbers: {error}", "Give SI values by name", problem.file, "designs") from None
+    count = max((values.size for values in given.values()), default=1)
+    arrays = {name: values if values.ndim else np.full(count, values) for name, values in given.items()}
     if not arrays:
         raise InputError("no quantity is varied", f"Name one of: {', '.join(quantities)}", problem.file, "designs")
     sizes = {len(values) for values in arrays.values()}

@@ -956,4 +956,17 @@ def test_a_batch_marks_the_designs_that_close_and_has_a_row_for_each() -> None:
     assert in_file.attrs["units"]["crank.angle_deg.max"] == "deg"
     with pytest.raises(optlink.UnknownName, match=r'no column input\.torque.*Did you mean "input\.torque_Nm"'):
         _ = batch["input.torque"]
-    assert repr(batch) == "<BatchAnalysis 'shaper': 3 designs, input.torque_Nm, crank.angle_rad>"
+    assert repr(batch) == "<BatchAnalysis 'shaper': input.torque_Nm, crank.angle_rad; 2 of 3 designs valid>"
+    other = optlink.analyze_batch("crank-rocker", {"coupler": [0.42]}, ["rocker.angle_rad"], 12).to_frame(units="file")
+    assert {"coupler_mm", "rocker.angle_deg.max"} < {*other}
+    assert other["coupler_mm"][0] == pytest.approx(420.0)
+
+
+def test_a_number_is_that_of_all_designs() -> None:
+    lengths = [0.14, 0.16]
+    keys = {"mechanism.coupler.length": lengths, "crank.length": 0.12}
+    one, other = (
+        optlink.analyze_batch("shaper", given, ["B.x_m"], 12)
+        for given in (keys, {"coupler.length": lengths, "crank.length": [0.12] * 2})
+    )
+    np.testing.assert_array_equal(one["B.x_m"], other["B.x_m"])
