@@ -481,6 +481,25 @@ def test_two_dyads_are_picked_with_the_mouse(page):
 
 
 @pytest.mark.slow
+def test_a_region_of_the_pivots_is_drawn_with_the_mouse(page):
+    page.find('[data-problem="motion-3-poses"]').click()
+    page.verified()
+    assert page.run("return getComputedStyle(region).display") == "none"
+    page.find("#tool-region").click()
+    page.stroke(lambda k: (-330.0 + 33.0 * k, -200.0 + 35.0 * k), 8)
+    page.until("return document.querySelector('#tool-select').getAttribute('aria-pressed') === 'true'")
+    page.verified()
+    width, height = page.run("const { width, height } = region.getBBox(); return [width, height]")
+    for name, size in (("A.x", width), ("A.y", height)):
+        read = "return [...document.querySelectorAll(`[data-variable='${arguments[0]}'] .bounds input`)].map((one) => one.value)"
+        low, high = map(float, page.run(read, name))
+        assert high - low == pytest.approx(size / page.scale, rel=0.01)
+        assert low <= value(page, name) <= high
+    page.find("#undo").click()
+    page.until("return getComputedStyle(region).display === 'none'")
+
+
+@pytest.mark.slow
 def test_the_token_belongs_to_one_tab(driver):
     """A private file leads to the page; its tab can be reloaded, another one needs the address, and no cookie is set."""
     pytest.importorskip("selenium", reason="selenium is not installed")
