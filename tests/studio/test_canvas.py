@@ -92,7 +92,7 @@ def drawn_length(page, body: str) -> float:
 
 
 def value(page, name: str) -> float:
-    return float(page.find(f'[data-variable="{name}"] input').get_attribute("value"))
+    return float(page.find(f'[data-variable="{name}"] input').get_attribute("value").replace("−", "-"))
 
 
 @pytest.mark.slow
@@ -488,11 +488,13 @@ def test_a_region_of_the_pivots_is_drawn_with_the_mouse(page):
     page.find("#tool-region").click()
     page.stroke(lambda k: (-330.0 + 33.0 * k, -200.0 + 35.0 * k), 8)
     page.until("return document.querySelector('#tool-select').getAttribute('aria-pressed') === 'true'")
+    read = """return [...document.querySelectorAll(`[data-variable="${arguments[0]}"] .bounds input`)]
+        .map((one) => Number(one.value.replace("−", "-")))"""
+    page.until(read.replace("return", "return !") + ".includes(-300)", "A.x")
     page.verified()
     width, height = page.run("const { width, height } = region.getBBox(); return [width, height]")
     for name, size in (("A.x", width), ("A.y", height)):
-        read = "return [...document.querySelectorAll(`[data-variable='${arguments[0]}'] .bounds input`)].map((one) => one.value)"
-        low, high = map(float, page.run(read, name))
+        low, high = page.run(read, name)
         assert high - low == pytest.approx(size / page.scale, rel=0.01)
         assert low <= value(page, name) <= high
     page.find("#undo").click()
