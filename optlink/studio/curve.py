@@ -1,5 +1,7 @@
 """Four-bars for a hand-drawn curve: a path problem of its points, and the best designs of a short search."""
 
+import contextlib
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -16,6 +18,7 @@ from optlink.studio.document import Document, from_text
 from optlink.studio.picture import Picture
 from optlink.synthesis.batch_search import Candidate, Searcher
 from optlink.tasks.results.design import LinkageDesign
+from optlink.tasks.results.fit import FAIR
 from optlink.tasks.search import DesignCollection, Polisher
 from optlink.validation import validate as validate_path
 
@@ -27,6 +30,7 @@ SHOWN_DESIGNS = 4  # designs
 MAX_COARSE = 12  # candidates of the first round of which valid ones are shown before they are refined
 MIN_SIZE = 1e-3  # mm
 ROUNDS = 12
+ARM_REACH, ARM = 2.0, 1.8  # distance of the pivot of an arm from the middle of a curve, length of the arm, in radii of the curve
 
 
 def curve_problem(points: Any, *, closed: bool) -> Document:
@@ -76,6 +80,68 @@ points = [
 [limits]
 transmission_angle = ["20 deg", "160 deg"]
 link_ratio = [0.05, 20.0]
+'''
+    return from_text(text, "drawn-curve")
+
+
+def six_bar_problem(four_bar: LinkageDesign) -> Document:
+    """Return the path problem of a four-bar for a Stephenson six-bar: its search starts with the curve of the four-bar."""
+    stated, values = four_bar.problem.raw["requirement"], four_bar.values
+    places = 1e3 * four_bar.measured.generated
+    size, centre = float(np.max(np.ptp(places, axis=0))), places.mean(axis=0)
+    far = MAX_LINK * size
+
+    def free(start: float, low: float, high: float) -> str:
+        return f'{{ start = "{start:.6g} mm", bounds = ["{low:.6g} mm", "{high:.6g} mm"] }}'
+
+    def length(start: float) -> str:
+        return f"length = {free(start, MIN_LINK * size, far)}"
+
+    def pair(at: Any, middle: Any = (0.0, 0.0)) -> str:
+        return f"[{', '.join(free(start, m - far, m + far) for start, m in zip(at, middle, strict=True))}]"
+
+    first = 1e3 * np.array([values["A.x"], values["A.y"]])
+    second = first + 1e3 * values["frame"] * np.array([math.cos(values["direction"]), math.sin(values["direction"])])
+    traced = np.array([at for at in _item(four_bar)["curve"] if at is not None])
+    middle = 0.5 * (traced.min(axis=0) + traced.max(axis=0))
+    radius = float(np.max(np.hypot(*(traced - middle).T)))
+    away = middle - 0.5 * (first + second)
+    third = middle + ARM_REACH * radius * away / (math.hypot(*away) or 1.0)  # link and arm reach every point of the curve
+    arm = min(ARM * radius, far)
+    carried = 1e3 * np.array([values["P.along"], values["P.across"]])
+    crank, coupler, rocker = (length(1e3 * values[name]) for name in ("crank", "coupler", "rocker"))
+    rows = ",\n".join(f'    ["{x}", "{y}"]' for x, y in stated["points"])
+    text = f'''format = {FORMAT}
+title = "A drawn curve, with a six-bar"
+
+# The coupler of the four-bar A-B-C-D carries the joint E of a link, which an arm guides. The point P of this link
+# passes these points in order, at free crank angles. The search starts with P in E: the curve of the four-bar.
+[mechanism.ground]
+A = {pair(first, centre)}
+D = {pair(second, centre)}
+F = {pair(third, centre)}
+
+[mechanism.links]
+crank = {{ joints = ["A", "B"], {crank} }}
+coupler = {{ joints = ["B", "C"], {coupler}, points = {{ E = {pair(carried)} }} }}
+rocker = {{ joints = ["D", "C"], {rocker} }}
+link = {{ joints = ["E", "G"], {length(arm)}, points = {{ P = {pair((0.0, 0.0))} }} }}
+arm = {{ joints = ["F", "G"], {length(arm)} }}
+
+[mechanism.assembly]
+C = "{four_bar.assembly} of B-D"
+G = "left of E-F"
+
+[requirement]
+kind = "path"
+point = "P"
+closed = {str(stated["closed"]).lower()}
+points = [
+{rows},
+]
+
+[limits]
+transmission_angle = ["20 deg", "160 deg"]
 '''
     return from_text(text, "drawn-curve")
 
@@ -134,8 +200,9 @@ class CurveSearch:
         coarse = self._searcher.coarse()
         self._add_coarse(coarse, 1)
         self._better()
-        for candidate in () if self.designs else coarse[:1]:
-            self._polisher.polish(candidate)  # shown if it is valid
+        with contextlib.suppress(_TimeExceeded):  # a slow machine: no design yet
+            for candidate in () if self.designs else coarse[:1]:
+                self._polisher.polish(candidate)  # shown if it is valid
         for number in range(ROUNDS):
             begun = self._seconds
             candidates = self._searcher.advance()
@@ -190,7 +257,21 @@ class CurveSearch:
     def message(self, ident: int, *, done: bool) -> dict[str, Any]:
         """Return the designs as a message that answers a request."""
         items = [_item(design) for design in self.designs]
-        return {"type": "candidates", "id": ident, "done": done, "seconds": round(self._seconds, 3), "items": items}
+        fit = self.designs[0].fit if done and items else None
+        poor = fit is not None and _largest_error(self.designs[0]) > FAIR * fit.size
+        return {"type": "candidates", "id": ident, "done": done, "seconds": round(self._seconds, 3), "items": items, "poor": poor}
+
+    def six_bar(self) -> Document:
+        """Return the problem of a six-bar for the curve.
+
+        Raises
+        ------
+        InputError
+            If no four-bar was found.
+        """
+        if not self.designs:
+            raise InputError("there is no four-bar to extend", "Draw the curve again", key="candidate")
+        return six_bar_problem(self.designs[0])
 
     def design(self, index: Any) -> Design:
         """Return one of the designs.

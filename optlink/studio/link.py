@@ -256,7 +256,7 @@ MAX_REFUSED = 2000  # refused messages after which no more are taken
 MAX_REPORTED = 100  # refused messages that are answered one by one
 REQUESTS = (
     *("open", "new", "drag", "set", "edit", "lock", "search", "stop", "undo", "redo"),
-    *("draw", "choose", "dyads", "save", "export", "link"),
+    *("draw", "choose", "dyads", "region", "save", "export", "link"),
 )
 """Types of the requests that a page may send."""
 QUOTA = "Too many requests. Send fewer than 200 a second"

@@ -11,7 +11,7 @@ from optlink.presentation.scene import regions_of
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile, load
-from optlink.studio import design as state, dyads, forms
+from optlink.studio import design as state, dyads, forms, region
 from optlink.studio.design import (
     Design,
     Follower,
@@ -52,6 +52,7 @@ Send = Callable[[Mapping[str, Any]], None]
 HALVINGS = 10  # of the way of a handle, to where feasibility ends
 WARM_UP_TIME = 0.5  # s
 SEARCHING_TEXT = "The search for the best design runs."
+SIX_BAR = "six-bar"  # in place of the number of a four-bar
 NONE_TEXT = "The search found none either."
 FIRST_TEXT = "Validated; the full search for a better design runs."
 
@@ -230,6 +231,9 @@ class Session:
     def _choose(self, request: Mapping[str, Any]) -> None:
         if self._curve is None:
             raise InputError("there are no candidates", "Draw a curve first")
+        if request.get("candidate") == SIX_BAR:
+            self._begin([self._curve.six_bar()])
+            return
         chosen = self._curve.design(request.get("candidate"))
         self._begin([self._curve.document], design=chosen)
 
@@ -447,6 +451,7 @@ class Session:
         if not moving:
             message |= {"tables": forms.groups(document.problem), "names": forms.names(document.problem)}
             message["dyads"] = dyads.offered(document.problem)
+            message["pivots"] = region.shown(document.problem)
         total = time.perf_counter()
         message["seconds"] = {"solve": done - self._begun, "total": total - self._begun}
         self._send(message)
@@ -480,6 +485,7 @@ _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
     "drag": Session._drag,
     "set": Session._set,
     "edit": Session._edit,
+    "region": lambda session, request: session._change(region.changes(session._document.problem, request.get("box"))),
     "lock": Session._lock,
     "search": lambda session, request: session._settle(),
     "undo": Session._undo,

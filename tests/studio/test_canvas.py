@@ -92,7 +92,7 @@ def drawn_length(page, body: str) -> float:
 
 
 def value(page, name: str) -> float:
-    return float(page.find(f'[data-variable="{name}"] input').get_attribute("value"))
+    return float(page.find(f'[data-variable="{name}"] input').get_attribute("value").replace("−", "-"))
 
 
 @pytest.mark.slow
@@ -478,6 +478,27 @@ def test_two_dyads_are_picked_with_the_mouse(page):
     assert page.status() == "verified"
     assert "exactly" in page.text("#conclusion")
     assert page.run("return document.title").startswith("•")  # the file has the four-bar as its start
+
+
+@pytest.mark.slow
+def test_a_region_of_the_pivots_is_drawn_with_the_mouse(page):
+    page.find('[data-problem="motion-3-poses"]').click()
+    page.verified()
+    assert page.run("return getComputedStyle(region).display") == "none"
+    page.find("#tool-region").click()
+    page.stroke(lambda k: (-330.0 + 33.0 * k, -200.0 + 35.0 * k), 8)
+    page.until("return document.querySelector('#tool-select').getAttribute('aria-pressed') === 'true'")
+    read = """return [...document.querySelectorAll(`[data-variable="${arguments[0]}"] .bounds input`)]
+        .map((one) => Number(one.value.replace("−", "-")))"""
+    page.until(read.replace("return", "return !") + ".includes(-300)", "A.x")
+    page.verified()
+    width, height = page.run("const { width, height } = region.getBBox(); return [width, height]")
+    for name, size in (("A.x", width), ("A.y", height)):
+        low, high = page.run(read, name)
+        assert high - low == pytest.approx(size / page.scale, rel=0.01)
+        assert low <= value(page, name) <= high
+    page.find("#undo").click()
+    page.until("return getComputedStyle(region).display === 'none'")
 
 
 @pytest.mark.slow

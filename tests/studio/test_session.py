@@ -469,6 +469,24 @@ def test_a_drawn_curve_gets_four_bars_and_a_drawing() -> None:
 
 
 @pytest.mark.slow
+def test_a_curve_that_four_bars_fit_poorly_gets_a_six_bar_that_starts_with_the_same_curve() -> None:
+    page = Page()
+    side = np.linspace(-50.0, 50.0, 20, endpoint=False)
+    quarter = np.column_stack([side, np.full(20, -50.0)])
+    square = np.vstack([quarter, quarter[:, ::-1] * (-1, 1), -quarter, quarter[:, ::-1] * (1, -1)])
+    done = page.ask("draw", points=square.tolist(), closed=True)[-1]
+    assert done["poor"]
+    four_bar = done["items"][0]
+    page.patient = False
+    state = page.state("choose", candidate="six-bar")
+    assert [one["name"] for one in state["scene"]["bodies"]] == ["crank", "coupler", "rocker", "link", "arm"]
+    begun = [at for at in state["scene"]["points"]["P"] if at]
+    assert len(begun) == 73  # over the whole revolution
+    apart = [min(math.dist(at, place) for place in four_bar["curve"] if place) for at in begun]
+    assert max(apart) < 0.6 * max(map(math.dist, begun, begun[1:]))  # between its positions
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["path-closed18", "shaper-design", "motion-3-poses", "stroke-crank-rocker", "law-slider-crank"])
 def test_a_followed_optimum_is_validated_on_release(name: str) -> None:
     page = Page()

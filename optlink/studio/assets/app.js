@@ -11,6 +11,7 @@ import { Linkage } from "./linkage.js";
 import { embedded, keptToken, Live } from "./live.js";
 import { Motion } from "./motion.js";
 import { Panel, verdictOf } from "./panel.js";
+import { Region } from "./region.js";
 import { guide, Search } from "./search.js";
 import { Start } from "./start.js";
 import "./theme.js";
@@ -69,6 +70,7 @@ function frame() {
   knobs.draw();
   curve.draw();
   dyads.draw();
+  region.draw();
   background.draw();
   if (shown) {
     live.mark(shown.id, "drawn");
@@ -124,6 +126,7 @@ const curve = new Curve(overlay, view, {
   hint,
 });
 const dyads = new Dyads(overlay, view, { ask: (fields) => ask("dyads", fields), hint });
+const region = new Region(overlay, view, (box) => ask("region", { box }));
 const background = new Background(linkage.layers.below, overlay, view, choose);
 const motion = new Motion((at, position) => {
   linkage.show(at);
@@ -232,7 +235,9 @@ function take(next) {
   }
   if (!next.moving) {
     $("tool-dyads").hidden = !next.dyads;
-    if (tool === "dyads") {
+    $("tool-region").hidden = !next.pivots;
+    region.take(next.pivots);
+    if (tool === "dyads" || tool === "region") {
       choose("select");
     }
   }
@@ -376,8 +381,8 @@ const search = new Search({
 // --- tools ------------------------------------------------------------------------------------------------------------------------
 
 let tool = "select";
-const TOOLS = ["select", "draw", "dyads", "back"];
-const HINTS = { draw: "Draw a curve in one stroke: end at its start to close it.", back: "Drag to move the background. Set its scale by two clicks and a length." };
+const TOOLS = ["select", "draw", "dyads", "region", "back"];
+const HINTS = { draw: "Draw a curve in one stroke: end at its start to close it.", region: "Draw a box: all ground pivots will stay inside.", back: "Drag to move the background. Set its scale by two clicks and a length." };
 function choose(name) {
   guide.done();
   tool = name;
@@ -396,16 +401,17 @@ for (const name of TOOLS) {
   $(`tool-${name}`).addEventListener("click", () => choose(tool === name ? "select" : name));
 }
 canvas.addEventListener("pointermove", (event) => tool === "dyads" && dyads.move(event));
-view.follow((event) => tool === "draw" || (tool === "dyads" && dyads.near(event) !== null) || (tool === "back" && (background.busy || background.node)) || event.target.closest?.(".handle"));
+view.follow((event) => tool === "draw" || tool === "region" || (tool === "dyads" && dyads.near(event) !== null) || (tool === "back" && (background.busy || background.node)) || event.target.closest?.(".handle"));
 canvas.addEventListener("pointerdown", (event) => {
-  if (tool === "draw") {
+  if (tool === "draw" || tool === "region") {
+    const drawn = tool === "draw" ? curve : region;
     canvas.setPointerCapture(event.pointerId);
-    curve.begin(event);
-    const move = (moving) => moving.getCoalescedEvents().forEach((one) => curve.move(one)) || curve.move(moving);
+    drawn.begin(event);
+    const move = (moving) => moving.getCoalescedEvents().forEach((one) => drawn.move(one)) || drawn.move(moving);
     document.addEventListener("pointermove", move);
     document.addEventListener("pointerup", () => {
       document.removeEventListener("pointermove", move);
-      if (curve.end()) {
+      if (drawn.end()) {
         choose("select");
       }
     }, { once: true });

@@ -60,7 +60,7 @@ const KEYS = [
   ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo"],
   ["Ctrl+S, Ctrl+O", "save, open"],
   ["+, −, 0", "zoom in, out, fit"],
-  ["V, D, P, B", "select, draw a curve, pick dyads of four poses, background"],
+  ["V, D, P, R, B", "select, draw a curve, pick dyads of four poses, region of the pivots, background"],
   ["Esc", "give up a drag, close"],
   ["Wheel, two fingers", "zoom; drag the empty canvas to pan"],
 ];
@@ -71,7 +71,7 @@ $("keys-text").append(
 $("help").addEventListener("click", () => $("keys").showModal());
 
 const COMMANDS = { z: "undo", y: "redo", Z: "redo", s: "save", o: "open" };
-const SINGLE = { v: "tool-select", d: "tool-draw", p: "tool-dyads", b: "tool-back", "+": "zoom-in", "=": "zoom-in", "-": "zoom-out", 0: "zoom-fit", "?": "help", " ": "play" };
+const SINGLE = { v: "tool-select", d: "tool-draw", p: "tool-dyads", r: "tool-region", b: "tool-back", "+": "zoom-in", "=": "zoom-in", "-": "zoom-out", 0: "zoom-fit", "?": "help", " ": "play" };
 
 // Keys of the page. `before()` runs before a command; `single()`: whether keys without Ctrl count; `escape()`.
 export function keyboard({ before, single, escape }) {

@@ -14,6 +14,7 @@ export class Curve {
     this.line = svg("path", { class: "stroke" });
     this.fitted = svg("path", { class: "fitted" });
     overlay.append(this.line, this.fitted);
+    $("six-bar").addEventListener("click", () => actions.choose("six-bar", () => this.close()));
     $("tray-close").addEventListener("click", () => (this.close(), actions.preview(null)));
   }
 
@@ -78,8 +79,9 @@ export class Curve {
     }
   }
 
-  show({ items, done, seconds }) {
+  show({ items, done, seconds, poor }) {
     this.items = items;
+    $("six-bar").hidden = !poor;
     $("tray").hidden = false;
     const time = Number.isFinite(seconds) ? `, ${seconds.toFixed(1)} s` : "";
     const count = `${items.length} four-bar${items.length === 1 ? "" : "s"}${time}`;
