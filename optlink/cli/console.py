@@ -218,13 +218,15 @@ def working(what: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def share(what: str) -> Iterator[Callable[..., None] | None]:
+def share(what: str, *, said: bool = False) -> Iterator[Callable[..., None] | None]:
     """Yield a progress function for a bar with the remaining time on standard error; None if that is not a terminal.
 
     The bar appears with the first fraction below 1: work of a single step shows none. The function takes the completed fraction,
-    and optionally a text that follows `what`.
+    and optionally a text that follows `what`. `said`: without a terminal a line says what begins.
     """
     if quiet or not sys.stderr.isatty():
+        if said and not quiet:
+            print(f"{what} ...", file=sys.stderr, flush=True)
         yield None
         return
     with contextlib.ExitStack() as stack:

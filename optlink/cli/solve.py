@@ -118,7 +118,9 @@ def solve(
             console.refuse(where, "only multistart searches and certificates use several processes", remedy, file.file)
         console.refuse(limits, "the option applies to a certificate of the global optimum only", remedy, file.file)
     seconds = console.quantity(time_limit, "time", "--time-limit")
-    with console.share("searching") as progress, console.share("proving") as proving:
+    rounds = steps or file.raw.get("rounding")
+    what = "searching and rounding" if rounds else "searching"
+    with console.share(what, said=bool(rounds)) as progress, console.share("proving") as proving:
         certificate_options: dict[str, Any] = {"certify": certify, "gap": GLOBAL_GAP if gap is None else gap}
         certificate_options |= {"time_limit": math.inf if seconds is None else seconds}
         certificate_options |= console.given(engine=engine, workers=workers, scheduler=scheduler)
@@ -219,6 +221,9 @@ def _interrupted(result: DesignResult) -> str:
     """Describe what an interrupted search or proof has reached."""
     from optlink.tasks.results.certificate import NOT_CLOSED
 
+    if "rounding" in result.seconds:
+        found = getattr(result, "rounding", None)
+        return f"the sizes are {'not rounded' if found is None else 'the best ones found on the grid so far'}"
     if (certificate := result.certificate) is not None:
         finding = certificate.text.removeprefix(f"{NOT_CLOSED}: ")
         complete = "complete" if certificate.closed else "incomplete"

@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Unusable
 from optlink.problem.rounding import ALL, NO_GRID, ON_GRID, Grid, read_grids
 from optlink.solvers import multistart
-from optlink.solvers.contract import BACKENDS
+from optlink.solvers.contract import BACKENDS, MINIMAX
 from optlink.solvers.exchange import solve_semi_infinite
 from optlink.solvers.quadratic_model import QuadraticModel
 from optlink.solvers.solution import FEASIBLE, SAME_OBJECTIVE, Solution
@@ -37,10 +38,10 @@ from optlink.validation import validate
 from optlink.validation.check import STATED, Requirement, requirements
 
 FEW = 4  # sizes up to which the whole grid is searched
-WHOLE = 1000  # programmes solved at most on the whole grid
+WHOLE = 400  # programmes solved at most on the whole grid
 PER_SIZE = 30  # designs per size near the optimum, where the grid is too large for that
 STEPS, FARTHEST = 10.0, 0.1  # reach of the quadratic model: steps of the grid, and of other unknowns (scaled)
-NODES = 30_000  # minima of a quadratic model at most
+NODES = 10_000  # minima of quadratic models at most, about a millisecond each
 CLOSE = 1e-6  # share of a step: a size of the model this close to a grid value has it
 FINER = 2.0, 5.0, 10.0, 20.0, 50.0, 100.0  # divisors of the steps with which a design is looked for where none has the steps
 TRIED = 20  # programmes for each of them
@@ -92,7 +93,10 @@ class _Search:
         names = [v.name for v in self.nlp.variables]
         self.at = np.array([names.index(name) for name in grids])
         self.variables = [self.nlp.variables[k] for k in self.at]
-        self.solved = 0
+        self.warm = (
+            polisher.method if polisher.method == MINIMAX else BACKENDS[0]
+        )  # the one with the least work from a near start
+        self.solved, self.nodes, self.least = 0, 0, math.inf
         self.best: LinkageDesign | None = None
         self.tried: dict[tuple[float, ...], LinkageDesign] = {}
         self.evaluated: set[tuple[float, ...]] = set()
@@ -111,29 +115,32 @@ class _Search:
         self.solved += 1
         nlp = self.nlp.bounded(x_low, x_high)
         nlp.p[1:] = start.p[1:]
-        begin = multistart.solution_at(nlp, np.clip(start.x, x_low, x_high), start.message)
-        return solve_semi_infinite(self.task, begin, self.polisher.method, near=False)
+        end = multistart.solve_from(nlp, np.clip(start.x, x_low, x_high), self.warm, persistent=False, continuations=0)
+        if end.status is Status.OPTIMAL and self._worse(end.objective):
+            return end  # and with the limits between its positions it is not better
+        return solve_semi_infinite(self.task, end, self.polisher.method)
 
-    def build(self, sizes: Sequence[float], start: Solution) -> None:
-        """Validate the best design with these sizes [SI] as built, and keep it if no valid one is better.
+    def build(self, sizes: Sequence[float], start: Solution) -> Array:
+        """Validate the best design with these sizes [SI] as built, keep it if none is better, and return its scaled point.
 
         Of many sizes, of which validation takes longest, designs that their programme refuses are not validated.
         """
         key, fixed = tuple(sizes), np.asarray(sizes, dtype=float)
         if key in self.tried:
-            return
+            return start.x
         end = start
         if not self.given:
             end = self.within(fixed, fixed, start)
             if self.tried and len(sizes) > FEW and not end.usable:
-                return
+                return end.x
         values, angles = solved_values(self.task, end.design, end.x)
         values = self.task.complete({**values, **dict(zip(self.grids, map(float, sizes), strict=True))})
         checked = validate(self.task, values, angles)
         made = LinkageDesign(self.design.problem, values, angles, checked.objective, Status.ROUNDED, checked)
         self.tried[key] = made
         if made.valid and (self.best is None or made.objective < self.best.objective):
-            self.best = made
+            self.best, self.least = made, math.inf if end is self.top else self.nlp.values(end.x, self.top.p)[0]
+        return end.x
 
     def corners(self) -> Iterator[list[float]]:
         """Yield the nearest values of the grid, and the other ones about the optimum if there are few."""
@@ -203,7 +210,7 @@ class _Search:
             for end in itertools.islice(self._listed(x), most - done):
                 done += 1
                 if progress:
-                    progress(min(1.0, done / most))
+                    progress(min(1.0, max(done / most, self.nodes / NODES)))
                 if self.best is not before:
                     reached, before = end, self.best
                     if any_valid:
@@ -213,7 +220,10 @@ class _Search:
             x = reached
 
     def _listed(self, x: Array) -> Iterator[Array]:
-        """Yield the scaled points of designs on the grid near one as they are built, best first by its quadratic model."""
+        """Yield the scaled points of designs on the grid near one as they are built.
+
+        Each is found by going down from the best open node of its quadratic model to the better of two, until it is on the grid.
+        """
         nlp, p, count = self.nlp, self.top.p, itertools.count()
         sizes, grids = [v.value(float(x[k])) for v, k in zip(self.variables, self.at, strict=True)], list(self.grids.values())
         reach = np.full(len(x), FARTHEST)
@@ -223,13 +233,15 @@ class _Search:
         where = np.searchsorted(model.unknowns, self.at)
         others = set(model.unknowns) - set(self.at) - set(range(nlp.first_level or len(x), len(x)))
         first = model.minimum(model.least, model.most)
-        best, nodes, version = math.inf, 0, 0
+        version = 0
         heap = [] if first is None else [(first[0], next(count), 0, model.least, model.most, first[1])]
-        while heap and nodes < NODES:
-            bound, _, made, low, high, change = heapq.heappop(heap)
-            if bound >= best - SAME_OBJECTIVE * abs(best):
-                return
+        below: list[Any] = []
+        while (below or heap) and self.nodes < NODES:
+            bound, _, made, low, high, change = below.pop() if below else heapq.heappop(heap)
+            if bound >= self.least - SAME_OBJECTIVE * abs(self.least):
+                continue
             if made != version:  # its rows are tighter by now
+                self.nodes += 1
                 again = model.minimum(low, high)
                 if again is not None:
                     heapq.heappush(heap, (again[0], next(count), version, low, high, again[1]))
@@ -247,15 +259,11 @@ class _Search:
                 end[self.at] = [v.scaled(size) for v, size in zip(self.variables, made_of, strict=True)]
                 start = multistart.solution_at(nlp, np.clip(end, nlp.x_low, nlp.x_high), self.top.message)
                 self.evaluated.add(tuple(made_of))
-                if others or start.usable:
-                    self.build(made_of, start)
-                valid = tuple(made_of) in self.tried and self.tried[tuple(made_of)].valid
-                if valid:
-                    best = min(best, nlp.values(start.x, p)[0])
-                elif not start.usable and not others and np.isfinite(start.g).all():
+                built = self.build(made_of, start) if others or start.usable else start.x
+                if not start.usable and not others and np.isfinite(start.g).all():
                     model.tighten(change, start.g)
                     version += 1
-                yield start.x
+                yield built
                 continue
             j = int(np.argmax(shares))
             for side, edge in ((0, grids[j].below(here[j])), (1, grids[j].above(here[j]))):
@@ -266,10 +274,14 @@ class _Search:
                 if box[0][where[j]] > box[1][where[j]] + CLOSE * reach[self.at[j]]:
                     continue
                 box[1] = np.maximum(*box)
-                nodes += 1
+                self.nodes += 1
                 found = model.minimum(*box)
                 if found is not None:
-                    heapq.heappush(heap, (found[0], next(count), version, box[0], box[1], found[1]))
+                    below.append((found[0], next(count), version, box[0], box[1], found[1]))
+            below.sort(reverse=True)
+            for node in below[:-1]:
+                heapq.heappush(heap, node)
+            del below[:-1]
 
     @cached_property
     def given(self) -> bool:
@@ -361,26 +373,28 @@ def rounded(
     tops, interrupted = [design for design in result.designs if design.solution is not None], result.interrupted
     if interrupted or not tops:
         why = "the search was interrupted" if interrupted else "its search ended at no optimum"
-        return replace(result, notes=(*result.notes, f"the sizes are not rounded: {why}")) if result.designs else result
-    timer, name = Timer(), BACKENDS[1] if backend == "both" else backend
-    searches = [search for design in tops for search in _searches(design, grids, name)]
+        return _unrounded(result, why) if result.designs else result
+    timer, name, searches = Timer(), BACKENDS[1] if backend == "both" else backend, list[_Search]()
+
+    def built() -> list[LinkageDesign]:
+        return sorted((search.best for search in searches if search.best is not None), key=lambda one: one.objective)
+
     try:
+        searches += [search for design in tops for search in _searches(design, grids, name)]
         for k, search in enumerate(searches):
             search.run(part(progress, k, len(searches)))
-        built = sorted((search.best for search in searches if search.best is not None), key=lambda one: one.objective)
-        finer = (
-            None if built or searches[0].exact else next((share for share in FINER if _exists(tops[0], grids, share, name)), None)
-        )
+        none = not built() and not searches[0].exact
+        finer = next((share for share in FINER if _exists(tops[0], grids, share, name)), None) if none else None
     except KeyboardInterrupt:
         interrupts.handled()
-        built = sorted((search.best for search in searches if search.best is not None), key=lambda one: one.objective)
-        if not built:
-            raise
         interrupted, finer = True, None
     timer.lap("rounding")
+    result, designs = replace(result, seconds=result.seconds | timer.seconds, interrupted=interrupted), built()
+    if interrupted and not designs:
+        return _unrounded(result, "the search of the grid was interrupted")
     first = searches[0]
     naive = first.tried.get(tuple(next(first.corners())))
-    quantities, sizes = result.problem.model.quantities, built[0].values if built else {}
+    quantities, sizes = result.problem.model.quantities, designs[0].values if designs else {}
     record = Rounding(
         steps={one: grid.words(quantities[one], sizes.get(one, math.nan)) for one, grid in grids.items()},
         optimum=tops[0].values,
@@ -392,17 +406,19 @@ def rounded(
         influences=tuple(sorted(first.table(), key=lambda one: -one.share)),
         finer=finer,
     )
-    near, needed = (None, {}) if built else first.closest()
+    near, needed = (None, {}) if designs else first.closest()
     return replace(
         result,
-        designs=tuple(built),
+        designs=tuple(designs),
         nearest=near,
-        seconds=result.seconds | timer.seconds,
         certificate=None,
         backends={},
-        interrupted=interrupted,
         rounding=replace(record, needed=needed),
     )
+
+
+def _unrounded(result: SynthesisResult, why: str) -> SynthesisResult:
+    return replace(result, notes=(*result.notes, f"the sizes are not rounded: {why}"))
 
 
 def _exists(design: LinkageDesign, grids: Mapping[str, Grid], share: float, backend: str) -> bool:

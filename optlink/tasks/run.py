@@ -21,7 +21,7 @@ from optlink.problem.machine.model import TASKS, ProblemKind
 from optlink.problem.quantity import Quantity, check_choice, input_of, read_quantity
 from optlink.problem.upgrades import upgraded
 from optlink.tasks.machine import UNKNOWN_QUANTITY
-from optlink.tasks.protocol import DesignTask, Progress, Proving, Search
+from optlink.tasks.protocol import DesignTask, Progress, Proving, Search, part
 from optlink.units import KINDS, show
 
 if TYPE_CHECKING:
@@ -188,14 +188,14 @@ def solve(
     with contextlib.ExitStack() as ends:
         runs = ends.enter_context(pool(**execution)) if task.divisible and not alone(**execution) else None
         kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}
-        result = task.solve(problem, backend, starts, seed, progress, **kept)
+        result = task.solve(problem, backend, starts, seed, part(progress, 0, 2) if grids else progress, **kept)
         proven = certified and certify is not False and not result.interrupted and (certify or not grids)
         boxes = 0.0 if not proven else math.inf if certify else _default_boxes(problem, result)
         if boxes:
             result = proof.certify(cast("SynthesisResult", result), gap, time_limit, proving, seed, boxes, problem, runs=runs)
     if not grids:
         return result
-    made: SynthesisResult = task.rounded(result, grids, backend, progress)
+    made: SynthesisResult = task.rounded(result, grids, backend, part(progress, 1, 2))
     return replace(made, notes=(*made.notes, IN_FILE)) if rounding is None and made.rounding else made
 
 

@@ -14,6 +14,7 @@ from optlink.errors import InputError, Status
 from optlink.problem.rounding import Grid
 from optlink.problem.templates import template, templates
 from optlink.tasks import rounding
+from optlink.tasks.results.rounding import Rounding
 from optlink.tasks.rounding import read_steps, rounded
 from tests.solved import solution
 from tests.tasks.test_element_designs import SWINGING
@@ -350,6 +351,43 @@ def test_an_interrupted_search_says_that_its_sizes_are_not_rounded():
     ended = rounded(replace(result, interrupted=True), read_steps(result.problem, "1 mm"))
     assert ended.notes[-1] == "the sizes are not rounded: the search was interrupted"
     assert ended.rounding is None
+
+
+@pytest.mark.parametrize(("where", "found"), [("run", True), ("within", False)])
+def test_an_interrupted_search_of_the_grid_keeps_what_it_has(where, found, monkeypatch):
+    complete = getattr(rounding._Search, where)
+
+    def interrupted(*arguments):
+        complete(*arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rounding._Search, where, interrupted)
+    result = optlink.solve("crank-rocker", certify=False, rounding="0.1 mm")
+    assert result.valid
+    assert result.interrupted
+    assert (result.rounding is not None) == found
+    if found:
+        assert not result.rounding.whole
+        assert result.status is Status.ROUNDED
+    else:
+        assert result.notes[-1] == "the sizes are not rounded: the search of the grid was interrupted"
+
+
+@pytest.mark.slow
+def test_the_search_of_many_sizes_ends_and_betters_the_nearest_sizes():
+    """A path that is met exactly has no active limit: its model has far more designs than can be tried."""
+    result = optlink.solve(optlink.read(template("path").text, "path"), designs=1, starts=64, rounding="0.1 mm")
+    assert result.valid
+    assert len(result.rounding.steps) == 8
+    assert result.rounding.naive_valid
+    assert result.objective < 0.1 * result.rounding.naive
+    assert result.message.endswith("not all of it; exact without rounding")
+
+
+def test_a_large_share_of_a_small_optimum_is_told_with_it():
+    found = Rounding({"a": "1 mm"}, {"a": 1.0}, 2e-8, None, naive_valid=False, solved=1, whole=True)
+    assert found.ended(2.5e-8, "0.02 mm^2").endswith("; +25 % of 0.02 mm^2 by rounding")
+    assert found.ended(2.004e-8, "0.02 mm^2").endswith("; +0.20 % by rounding")
 
 
 def test_a_kind_without_sizes_is_refused():

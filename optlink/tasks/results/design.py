@@ -620,7 +620,9 @@ class SynthesisResult(Document):
     def message(self) -> str:
         """Description of how the search ended."""
         if self.rounding is not None:
-            return self.rounding.ended(self.objective if self.designs else math.nan)
+            shown = self.problem.model.shown_objective(self.rounding.objective)
+            optimum = f"{shown.value:.4g} {shown.unit}".rstrip()
+            return self.rounding.ended(self.objective if self.designs else math.nan, optimum)
         if self.exact_solutions is not None and self.backend == NO_SEARCH:
             return self.exact_solutions.sentence
         return message(self.status, self.certificate, self.refuted)

@@ -9,6 +9,9 @@ from dataclasses import dataclass, field
 from optlink.problem.document import Number
 from optlink.units import percent
 
+EXACT = 1e-9  # share of the rounded objective: an optimum below it is exact but for the digits of the computer
+TOLD = 0.01  # share lost from which the optimum is told beside it: it may be nearly zero
+
 
 @dataclass(frozen=True)
 class Influence:
@@ -61,10 +64,18 @@ class Rounding:
     def loss(self, objective: float) -> float:
         """Return the increase of the objective [SI] by rounding as a share of the optimum; infinite for an exact one."""
         more = objective - self.objective
-        return more / abs(self.objective) if self.objective else math.inf if more > 0.0 else 0.0
+        return more / abs(self.objective) if abs(self.objective) > EXACT * abs(objective) else math.inf if more > 0.0 else 0.0
 
-    def ended(self, objective: float) -> str:
-        """Return how the search of the grid ended, with the objective [SI] of its best design; NaN without one."""
+    def ended(self, objective: float, optimum: str) -> str:
+        """Return how the search of the grid ended.
+
+        Parameters
+        ----------
+        objective : float [SI]
+            Of the best design; NaN without one.
+        optimum : str
+            The objective without rounding in words, which a loss of more than a hundredth is told with.
+        """
         if math.isnan(objective):
             ways = [f"divide the steps by {self.finer:g}"] if self.finer else []
             if self.needed:
@@ -73,5 +84,6 @@ class Rounding:
         found = "the whole grid was searched" if self.whole else "the grid was searched near the optimum, not all of it"
         share = self.loss(objective)
         digits = min(max(1 - math.floor(math.log10(abs(100.0 * share))), 0), 4) if share and math.isfinite(share) else 0
-        lost = f"{percent(share, digits, signed=True)} by rounding" if math.isfinite(share) else "exact without rounding"
+        of = f" of {optimum}" if share > TOLD else ""
+        lost = f"{percent(share, digits, signed=True)}{of} by rounding" if math.isfinite(share) else "exact without rounding"
         return f"grid of {self.text}, valid as built; {found}; {lost}"
