@@ -50,8 +50,8 @@ ROUND = (
     "The design has such sizes, and is validated with them. Default: [rounding] of the file; none: without rounding."
 )
 ALL = (
-    "List all exact solutions of five poses, timed points or points of a function, or of nine points, each with what "
-    "excludes it; of four poses the best ones."
+    "List all exact solutions of five poses, timed points or points of a function, of nine points, or of poses and points, each "
+    "with what excludes it; of four poses the best ones."
 )
 BY = (
     '--all: quantity that ranks them, such as "total length". Default: that of the objective of the file; without one, the '

@@ -541,7 +541,8 @@ def targets(problem: ProblemFile, design: Design) -> dict[str, Any]:
     points = [{"at": place, "deviation": d} for place, d in zip(_rounded(places), finite(_rounded(deviation)), strict=True)]
     poses = []
     if targets.angles is not None:
-        poses = [{"at": p["at"], "angle": math.degrees(a)} for p, a in zip(points, targets.angles, strict=True)]
+        both = zip(points, targets.angles, strict=True)
+        poses = [{"at": p["at"], "angle": math.degrees(a)} for p, a in both if not math.isnan(a)]
     curve = [*_rounded(places), *_rounded(places[:1])] if model.closed else _rounded(places)
     return {"points": points, "poses": poses, "curve": curve}
 

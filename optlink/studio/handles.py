@@ -185,7 +185,7 @@ class _Handles:
         for k, (x, y) in enumerate(targets.points):
             at, ident = [1e3 * x, 1e3 * y], f"{POINTS}.{k}"
             yield Handle(ident, f"point {k + 1}", "point", "mm", ("x", "y"), None, {"at": at}, k)
-            if targets.angles is not None and isinstance(rows[k], Mapping):
+            if targets.angles is not None and targets.posed[k] and isinstance(rows[k], Mapping):
                 value = math.degrees(targets.angles[k])
                 drawn = {"centre": at, "radius": 0.25 * size, "from": 0.0, "lower": -360.0, "upper": 360.0}
                 yield Handle(f"{ident}.angle", f"angle of pose {k + 1}", "angle", "deg", ("angle",), value, drawn, k)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.synthesis.homotopy import LEAST, Problem, Roots, slopes
+from optlink.synthesis.homotopy import LEAST, PIVOTS, Problem, Roots, slopes
 from optlink.synthesis.pairs import Complex, Pair, closure
 
 PAIR, DOUBLE = 2.0**-94, 2.0**-46  # bounds of the rounding of a value, of pairs and of doubles, relative to the sum of its terms
@@ -23,7 +23,7 @@ HALF = 0.49  # of the contraction, with which the rounding of the bounds themsel
 
 
 def _equations(problem: Problem, dyads: Any, turns: Any, sign: float, wrap: Any) -> Any:
-    """Return the equations at poses, and those at points times 1 + t.
+    """Return the equations at poses, those at points times 1 + t, and those of given pivots.
 
     `wrap` makes the numbers of arrays; with `sign` 1, and absolute values as numbers, the result is the size of all terms.
     """
@@ -34,7 +34,11 @@ def _equations(problem: Problem, dyads: Any, turns: Any, sign: float, wrap: Any)
     at_poses = p * (ub + q) + u * q
     d, e = (wrap(each[poses:]) for each in (problem.d, problem.e))
     t, one, minus = wrap(*(part[:, None, poses:] for part in turns)), wrap(np.array(1.0 + 0j)), wrap(np.array(sign + 0j))
-    return at_poses, closure(x, xb, u, ub, d, e, t, one, minus)
+    if problem.pivots is None:
+        return at_poses, closure(x, xb, u, ub, d, e, t, one, minus)
+    place, conjugate = (wrap(problem.pivots[:, k, None]) for k in range(2))
+    given = (x + minus * (u + place), xb + minus * (ub + conjugate))
+    return at_poses, closure(x, xb, u, ub, d, e, t, one, minus), *given
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,8 @@ def certificate(problem: Problem, roots: Roots) -> Certificate:
     z, low_z = roots.dyads, np.zeros_like(roots.dyads)
     t, low_t = roots.turns, np.zeros_like(roots.turns)
 
-    def flat(of_poses: Any, of_points: Any) -> Any:
-        return np.concatenate([of_poses.reshape(count, -1), of_points.reshape(count, -1)], axis=1)
+    def flat(*parts: Any) -> Any:
+        return np.concatenate([part.reshape(count, -1) for part in parts], axis=1)
 
     jacobian = np.zeros((count, 2, len(problem.d), number), complex)
     with np.errstate(all="ignore"):
@@ -75,7 +79,9 @@ def certificate(problem: Problem, roots: Roots) -> Certificate:
             jacobian[:, k, :, 4 * k : 4 * k + 4] = slope[:, k] * scale[..., None]
             for i in range(poses, len(problem.d)):
                 jacobian[:, k, i, 8 + i - poses] = value[:, k, i] + scale[:, i] * by_turn[:, k, i]
-        matrix = flat(*np.split(jacobian, [poses], axis=2)).reshape(count, number, number)
+        given = np.zeros((count, 0 if problem.pivots is None else 4, number))
+        given[:, :, :8] = PIVOTS[[0, 2, 1, 3]].reshape(4, 8)[: given.shape[1]]
+        matrix = flat(*np.split(jacobian, [poses], axis=2), given).reshape(count, number, number)
         good = np.all(np.isfinite(matrix), axis=(1, 2))
         good &= np.linalg.det(np.where(good[:, None, None], matrix, 0.0)) != 0.0
         inverse = np.linalg.inv(np.where(good[:, None, None], matrix, np.eye(number)))
@@ -93,7 +99,8 @@ def certificate(problem: Problem, roots: Roots) -> Certificate:
         moved = np.concatenate([np.abs(z - roots.dyads).reshape(count, 8), np.abs(t - roots.turns)[:, poses:]], axis=1)
         of_dyads, of_turns = sizes(z), np.abs(t)
         weight = np.concatenate([of_dyads.reshape(count, 8), of_turns[:, poses:]], axis=1)
-        data = Problem(np.abs(problem.d), np.abs(problem.e), np.abs(problem.turns))
+        pivots = None if problem.pivots is None else np.abs(problem.pivots)
+        data = Problem(np.abs(problem.d), np.abs(problem.e), np.abs(problem.turns), pivots)
 
         def terms(factor: float) -> Any:
             return flat(*_equations(data, (factor * of_dyads,), (factor * of_turns,), 1.0, np.abs))

@@ -86,5 +86,5 @@ def solved(dyads, turns, d, e, poses, tangent, to_d, to_e, to_turn, change, turn
 def steps(dyads, turns, d, e, poses, rates=None):
     """Return the same as `homotopy.steps`."""
     change, turned = np.empty_like(dyads), np.empty_like(turns)
-    solved(dyads, turns, d, e, poses, rates is not None, *(rates or (d[0],) * 3), change, turned)
+    solved(dyads, turns, d, e, poses, rates is not None, *(rates or (d[0],) * 3)[:3], change, turned)
     return change, turned

@@ -6,9 +6,10 @@ isotropic coordinates are independent numbers. The joint moves by p = d + t x, a
 
     (u + p) (ub + q) - u ub = p ub + u q + p q = 0,     q = e + s xb,
 
-for both dyads. The rotation is known at a pose and unknown at a point. The number of complex solutions is the same for almost all
-data, so the solutions of one generic problem are carried to those of any other one, along paths that do not meet. With t and u,
-instead of the rotation and the pivot, no digits are lost where joints are far away and rotations small.
+for both dyads. The rotation is known at a pose and unknown at a point. So do five points if both pivots are given. The number of
+complex solutions is the same for almost all data, so the solutions of one generic problem are carried to those of any other one,
+along paths that do not meet. With t and u, instead of the rotation and the pivot, no digits are lost where joints are far away
+and rotations small.
 
 References
 ----------
@@ -29,23 +30,27 @@ from optlink.synthesis.pairs import Complex, Pair, closure
 
 TOLERANCE = 1e-3  # correction of a predicted point that the step size aims at, relative to the coordinates
 CONVERGED = 1e-8  # last correction of a point on a path: rounding is as large near infinity
-CORRECTIONS = 3  # Newton steps at most
+CORRECTIONS = (3, 9)  # Newton steps at most, with a Jacobian in double precision
 LEAST = 1e-2  # size that a smaller coordinate counts as when roots are compared; the displacements are of size 1
 MANY = 400  # paths from which on compilation, which takes some seconds once, is worth it
 SHORTEST = (1e-9, 1e-14)  # step at which a path is given up, in double precision and in pairs
-MOST = 2000  # number of steps at which a path is given up
+MOST = (2000, 300)  # number of steps at which a path is given up
+PIVOTS = np.array([[[1, 0, -1, 0], [0] * 4], [[0, 1, 0, -1], [0] * 4], [[0] * 4, [1, 0, -1, 0]], [[0] * 4, [0, 1, 0, -1]]])
+"""Derivatives of both pivots by the dyads, (4, 2, 4)."""
 
 
 @dataclass(frozen=True)
 class Problem:
     """Displacements from the first pose and their conjugates (K,), and rotations less one (M - 1,) at the poses, the first ones.
 
-    For real data `e` is the conjugate of `d`, and 1 + `turns` is of modulus 1; a generic problem is not real.
+    `pivots` (2, 2), if given: from the first pose, and their conjugates. For real data `e` is the conjugate of `d`, and
+    1 + `turns` is of modulus 1; a generic problem is not real.
     """
 
     d: Complex
     e: Complex
     turns: Complex
+    pivots: Complex | None = None
 
     @property
     def kind(self) -> tuple[int, int]:
@@ -54,8 +59,10 @@ class Problem:
 
     @property
     def data(self) -> Complex:
-        """All data (3, K), with 0 as the rotations at points."""
-        return np.stack([self.d, self.e, np.pad(self.turns, (0, len(self.d) - len(self.turns)))])
+        """All data (4, K), with 0 as the rotations at points and the pivots that are free."""
+        pivots = np.zeros(0) if self.pivots is None else self.pivots.ravel()
+        rows = (self.d, self.e, self.turns, pivots)
+        return np.array([np.pad(row, (0, len(self.d) - len(row))) for row in rows], dtype=complex)
 
 
 @dataclass(frozen=True)
@@ -93,7 +100,7 @@ def steps(
     d: Complex,
     e: Complex,
     poses: int,
-    rates: tuple[Complex, Complex, Complex] | None = None,
+    rates: tuple[Complex, ...] | None = None,
     residual: Complex | None = None,
 ) -> tuple[Complex, Complex]:
     """Return Newton steps of dyads and rotations at displacements (B, K), or tangents for rates of the data (K,).
@@ -113,13 +120,20 @@ def steps(
         matrix[:, rows, k], right[:, rows] = slope[:, k, :poses], -value[:, k, :poses]
     weight = by_turn[:, :, poses:]
     weight = weight / np.maximum(np.sqrt(np.sum(np.abs(weight) ** 2, axis=1, keepdims=True)), 1e-300)
-    matrix[:, 2 * poses :, 0] = weight[:, 1, :, None] * slope[:, 0, poses:]
-    matrix[:, 2 * poses :, 1] = -weight[:, 0, :, None] * slope[:, 1, poses:]
-    right[:, 2 * poses :] = weight[:, 0] * value[:, 1, poses:] - weight[:, 1] * value[:, 0, poses:]
+    last = poses + turns.shape[1]  # four rows less than eight if the pivots are given
+    matrix[:, 2 * poses : last, 0] = weight[:, 1, :, None] * slope[:, 0, poses:]
+    matrix[:, 2 * poses : last, 1] = -weight[:, 0, :, None] * slope[:, 1, poses:]
+    right[:, 2 * poses : last] = weight[:, 0] * value[:, 1, poses:] - weight[:, 1] * value[:, 0, poses:]
+    matrix[:, last:] = PIVOTS[: 8 - last]
+    right[:, last:] = 0.0 if rates is None else rates[3][: 8 - last]
+    scale = np.maximum(np.abs(dyads), 1e-300)
+    matrix *= scale[:, None]
     square = matrix.reshape(count, 8, 8)
+    rows_of = np.maximum(np.max(np.abs(square), axis=2), 1e-300)
+    square, right = square / rows_of[..., None], right / rows_of
     regular = np.linalg.det(square) != 0.0
     square[~regular], right[~regular] = np.eye(8), np.nan
-    change = np.asarray(np.linalg.solve(square, right[..., None]).reshape(count, 2, 4), complex)
+    change = np.asarray(scale * np.linalg.solve(square, right[..., None]).reshape(count, 2, 4), complex)
     turned = np.zeros_like(turns)
     rest = value + np.einsum("bkij,bkj->bki", slope, change)
     size = np.sum(np.abs(by_turn) ** 2, axis=1)
@@ -148,7 +162,7 @@ def follow(roots: Roots, start: Problem, end: Problem, reached: Array, precise: 
     """
     poses, advance = len(start.turns), steps if precise else solver(len(roots))
     begin, change = start.data, Pair(end.data) + Pair(-start.data)
-    rates = change.high[0], change.high[1], change.high[2]
+    rates = tuple(change.high)
     state = Pair(np.concatenate([roots.dyads.reshape(-1, 8), roots.turns], axis=1))
     rest = np.zeros_like(state.high)
     at = reached.copy()
@@ -182,7 +196,7 @@ def follow(roots: Roots, start: Problem, end: Problem, reached: Array, precise: 
             s += h
             z.high[:, 8 : 8 + poses] = start.turns + s[:, None] * change.high[2, :poses]
             first = last = np.full(len(s), np.inf)
-            for k in range(CORRECTIONS):
+            for k in range(CORRECTIONS[precise]):
                 left = np.flatnonzero((last > CONVERGED) & ((k == 0) | (last < 0.1)))
                 if not len(left):
                     break
@@ -191,7 +205,11 @@ def follow(roots: Roots, start: Problem, end: Problem, reached: Array, precise: 
                 z.high[left], z.low[left] = moved.high, moved.low
                 last = last.copy()
                 size = np.abs(moved.high)
-                last[left] = np.max(np.abs(by) / np.concatenate([1.0 + size[:, :8], size[:, 8:]], axis=1), axis=1)
+                if precise:
+                    size[:, 8:] = np.minimum(size[:, 8:], np.abs(1.0 + moved.high[:, 8:]))
+                else:
+                    size[:, :8] += 1.0
+                last[left] = np.max(np.abs(by) / size, axis=1)
                 first = last if k == 0 else first
             good = last < CONVERGED  # false for a number that is none
             taken = open_paths[good]
@@ -199,7 +217,9 @@ def follow(roots: Roots, start: Problem, end: Problem, reached: Array, precise: 
             scale = np.clip((TOLERANCE / first) ** 0.2, 0.3, 2.5)
             step[open_paths] = np.where(good, np.where(np.isfinite(scale), scale, 0.3), 0.4) * h
             count[open_paths] += 1
-            open_paths = open_paths[(at[open_paths] < 1.0) & (step[open_paths] > SHORTEST[precise]) & (count[open_paths] < MOST)]
+            open_paths = open_paths[
+                (at[open_paths] < 1.0) & (step[open_paths] > SHORTEST[precise]) & (count[open_paths] < MOST[precise])
+            ]
     return Roots(state.high[:, :8].reshape(-1, 2, 4), state.high[:, 8:]), at
 
 

@@ -10,7 +10,7 @@ from optlink.linkage.vector2d import Array
 from optlink.synthesis.certificate import certificate
 from optlink.synthesis.homotopy import Problem, Roots, track
 from optlink.synthesis.pairs import Complex
-from optlink.synthesis.start_problems import COUNTS, cognates, distinct, stored
+from optlink.synthesis.start_problems import COUNTS, FIVE_POINTS, NINE_POINTS, cognates, distinct, stored
 
 ROUTES = 4  # sets of paths, from different generic problems, that are followed until no four-bar is missing
 
@@ -35,7 +35,7 @@ class AllFourBars:
     @property
     def real(self) -> int:
         """Number of real ones; for nine points, of triples of cognates."""
-        return len(self.joints) // (3 if self.kind[0] == 1 else 1)
+        return len(self.joints) // (3 if self.kind == NINE_POINTS else 1)
 
     @property
     def missing(self) -> int:
@@ -43,18 +43,27 @@ class AllFourBars:
         return self.expected - self.found
 
 
-def four_bars(places: Sequence[complex] | Complex, angles: Sequence[float] | Array = (0.0,), seed: int = 0) -> AllFourBars:
+def four_bars(
+    places: Sequence[complex] | Complex,
+    angles: Sequence[float] | Array = (0.0,),
+    seed: int = 0,
+    pivots: Sequence[complex] | None = None,
+) -> AllFourBars:
     """Return all four-bars through points x + iy [m] of the coupler, whose angles [rad] are given at the first ones.
 
-    Their numbers: four poses and two points, three and four, two and six, or nine points.
+    Their numbers: four poses and two points, three and four, two and six, or nine points; five points if both `pivots` are given.
     """
     z, angle = np.asarray(places, dtype=complex), np.asarray(angles, dtype=float)
     size = float(np.sqrt(np.mean(np.abs(z[1:] - z[0]) ** 2)))
     d = (z[1:] - z[0]) / size
-    problem = Problem(d, np.conj(d), _less_one(angle[1:] - angle[0]))
-    if problem.kind not in COUNTS:
+    given = None
+    if pivots is not None:
+        at = (np.asarray(pivots, dtype=complex) - z[0]) / size
+        given = np.stack([at, np.conj(at)], axis=1)
+    problem = Problem(d, np.conj(d), _less_one(angle[1:] - angle[0]), given)
+    if problem.kind not in COUNTS or (problem.kind == FIVE_POINTS) != (given is not None):
         message = f"{problem.kind[0]} poses and {problem.kind[1]} points do not determine finitely many four-bars"
-        remedy = "Give 6 points, the angles at 4 of them; or 7 and 3, 8 and 2, or 9 and 1"
+        remedy = "Give 6 points, the angles at 4 of them; or 7 and 3, 8 and 2, or 9 and 1; or 5 points and both pivots"
         raise InputError(message, remedy, key="angles")
     expected, rng = COUNTS[problem.kind], np.random.default_rng([*problem.kind, seed])
     found: Roots | None = None
@@ -73,7 +82,7 @@ def four_bars(places: Sequence[complex] | Complex, angles: Sequence[float] | Arr
             break
     assert found is not None
     shown = found[real]
-    if problem.kind[0] == 1 and len(shown):
+    if problem.kind == NINE_POINTS and len(shown):
         three = cognates(shown, problem)
         order = np.arange(len(three)).reshape(3, -1).T.ravel()
         shown = three[order]
@@ -91,4 +100,7 @@ def route(kind: tuple[int, int], rng: np.random.Generator) -> tuple[Problem, Roo
     """Return a generic problem with its four-bars: the stored one with displacements and conjugates times random numbers."""
     problem, roots = stored(*kind)
     one, other = np.exp(rng.normal(0.0, 0.3, 2) + 1j * rng.uniform(0.0, 2.0 * np.pi, 2))
-    return Problem(one * problem.d, other * problem.e, problem.turns), Roots(roots.dyads * [one, other, one, other], roots.turns)
+    pivots = None if problem.pivots is None else problem.pivots * [one, other]
+    return Problem(one * problem.d, other * problem.e, problem.turns, pivots), Roots(
+        roots.dyads * [one, other, one, other], roots.turns
+    )

@@ -19,7 +19,8 @@ from optlink.synthesis.pairs import Complex
 
 FILE = Path(__file__).with_suffix(".npz")
 
-COUNTS = {(4, 2): 30, (3, 4): 201, (2, 6): 1112, (1, 8): 1442}
+NINE_POINTS, FIVE_POINTS = (1, 8), (1, 4)  # the latter with given pivots
+COUNTS = {(4, 2): 30, (3, 4): 201, (2, 6): 1112, (1, 8): 1442, (1, 4): 36}
 """Four-bars of poses (with the first one) and further points; exchanged dyads, and cognates of nine points, count once."""
 
 SAME = 1e-6  # relative difference of keys of orbits that may be one
@@ -41,7 +42,9 @@ def cognates(roots: Roots, problem: Problem) -> Roots:
 def orbits(roots: Roots, problem: Problem) -> Complex:
     """Return the dyads (B, 2 or 6, 2, 4) of the four-bars that count as one with each: exchanged ones, and cognates of points."""
     count = len(roots)
-    alike = cognates(roots, problem) if problem.kind[0] == 1 else roots
+    if problem.pivots is not None:
+        return roots.dyads[:, None]
+    alike = cognates(roots, problem) if problem.kind == NINE_POINTS else roots
     images = np.moveaxis(alike.dyads.reshape(-1, count, 2, 4), 0, 1)
     return np.concatenate([images, images[:, :, ::-1]], axis=1)
 
@@ -81,15 +84,18 @@ def stored(poses: int, points: int) -> tuple[Problem, Roots]:
     """Return a generic problem of a kind with one four-bar of each orbit."""
     name = f"{poses}+{points}"
     with np.load(FILE) as file:
-        d, e, turns = np.split(file[name], [poses - 1 + points, 2 * (poses - 1 + points)])
+        number = poses - 1 + points
+        d, e, turns, pivots = np.split(file[name], [number, 2 * number, 2 * number + poses - 1])
         dyads = unpacked(file[f"{name} dyads"])
-    problem = Problem(d, e, turns)
+    problem = Problem(d, e, turns, pivots.reshape(2, 2) if len(pivots) else None)
     return problem, refined(problem, dyads)
 
 
 def refined(problem: Problem, dyads: Complex) -> Roots:
     """Return four-bars at their end of Newton steps, with the rotations that their dyads have in common."""
     poses = len(problem.turns)
+    if problem.pivots is not None:
+        dyads = np.concatenate([dyads[..., :2], dyads[..., :2] - problem.pivots], axis=-1)
     x, xb, u, ub = np.moveaxis(dyads, 2, 0)[..., None]
     d, e = problem.d, problem.e
     square, rest = x * (ub + e - xb), d * ub + (u + d) * e  # of the equation times 1 + t
@@ -118,7 +124,9 @@ def monodromy(poses: int, points: int, seed: int = 0) -> tuple[Problem, Roots]:
         return np.asarray(np.exp(normal(count)) - 1.0, dtype=complex)
 
     def generic() -> Problem:
-        return Problem(normal(number), normal(number), turned(poses - 1))
+        return Problem(
+            normal(number), normal(number), turned(poses - 1), normal(2, 2) if (poses, points) == FIVE_POINTS else None
+        )
 
     dyads, turns = normal(2, 4), turned(number)
     x, xb, u, ub = dyads.T[..., None]
@@ -127,8 +135,8 @@ def monodromy(poses: int, points: int, seed: int = 0) -> tuple[Problem, Roots]:
     one, other, rest = p[0] - p[1], q[0] - q[1], r[0] - r[1]
     half = 0.5 * (q[0] - p[0] * other / one - rest / one) * one / other
     d = half + np.sqrt(half**2 + (r[0] - p[0] * rest / one) * one / other)
-    at = Problem(d, -(d * other + rest) / one, turns[: poses - 1])
     base = generic()
+    at = Problem(d, -(d * other + rest) / one, turns[: poses - 1], None if base.pivots is None else dyads[:, :2] - dyads[:, 2:])
     found, _ = track(Roots(dyads[None], turns[None]), at, base)
     for loop in range(LOOPS):
         corners, moved = [base, generic(), generic(), base], found
@@ -148,7 +156,8 @@ def main() -> None:
     data: dict[str, NDArray[Any]] = {}
     for poses, points in COUNTS:
         problem, roots = monodromy(poses, points)
-        data[f"{poses}+{points}"] = np.concatenate([problem.d, problem.e, problem.turns])
+        pivots = [] if problem.pivots is None else [problem.pivots.ravel()]
+        data[f"{poses}+{points}"] = np.concatenate([problem.d, problem.e, problem.turns, *pivots])
         data[f"{poses}+{points} dyads"] = packed(roots.dyads)
     np.savez_compressed(FILE, **data)  # type: ignore[arg-type]
 

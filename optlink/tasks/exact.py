@@ -1,59 +1,94 @@
-"""Find all linkages that meet targets exactly: five or four poses, five timed points or points of a function, or nine points."""
+"""Find all linkages that meet targets exactly: poses, points, both, timed points, or points of a function."""
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from optlink.errors import InputError
+from optlink.linkage.mechanism import Arm
 from optlink.problem.arguments import typed
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
+from optlink.problem.requirements.base import pose_angles
 from optlink.problem.terms import QUANTITIES, Goal, read_words
 from optlink.synthesis.five_poses import FourBarSolution, link
 from optlink.synthesis.poses_and_points import four_bars
-from optlink.tasks.five_targets import FiveTargets, alone, marked
+from optlink.synthesis.start_problems import COUNTS, FIVE_POINTS
+from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, marked
 from optlink.tasks.four_poses import CHEAP
 from optlink.tasks.results.design import NO_SEARCH, SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolutions
 
 SAME_POINT = 1e-10  # distance of points that are one, relative to that of others
 REPEATED_POINT = "points {} and {} are the same: infinitely many four-bars pass through the others"
+NUMBERS = ("", "one", "two", "three", "four", "five", "six", "seven", "eight")
+ON_GIVEN_PIVOTS = 5  # dimensions of a four-bar with a point, besides its pivots, and conditions of as many points
 
 
-class NinePoints(FiveTargets):
-    """The exact solutions of a path of nine points without timing."""
+class PosesAndPoints(FiveTargets):
+    """The exact solutions of poses and points without timing, nine points, or five points if the pivots are given."""
 
     def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
-        """Return the numbers of triples of cognates, and the real four-bars, each driven at either link."""
-        points = self.task.data.columns
-        places = points[:, 0] + 1j * points[:, 1]
-        kind, counted, pairs = "nine points", "triples of cognates", list[FourBarSolution]()
+        """Return the numbers of roots, and the real four-bars, each driven at either link unless the pivots are given."""
+        columns, posed = self.task.data.columns, self.task.target_points.posed
+        pivots = given_pivots(self.task) if len(columns) == ON_GIVEN_PIVOTS else None
+        places = columns[:, 0] + 1j * columns[:, 1]
+        wanted = pose_angles(columns)[posed] if posed.any() else np.zeros(1)
+        poses, either = len(wanted), pivots is None
+        kind = f"{NUMBERS[poses]} poses and {NUMBERS[len(places) - poses]} points"
+        if poses == 1:
+            kind = "nine points" if either else "five points and both pivots"
+        counted = "triples of cognates" if poses == 1 and either else "four-bars"
+        counts = ExactSolutions(kind, 0, 0, 0, 0, "", either, (), counted=counted)
         for i, j in itertools.combinations(range(len(places)), 2):
-            if abs(places[i] - places[j]) <= SAME_POINT * np.max(np.abs(places - places[0])):
-                return ExactSolutions(kind, 0, 0, 0, 0, REPEATED_POINT.format(i + 1, j + 1), True, ()), pairs
-        found = four_bars(places)
-        for joints, pivots, angles in zip(found.joints, found.pivots, found.angles, strict=True):
-            one, other = (link(*ends, found.size) for ends in zip(joints, pivots, strict=True))
-            pairs += [FourBarSolution(*links, places, angles) for links in ((one, other), (other, one))]
-        real, complex_ones = found.real, found.found - found.real
-        counts = ExactSolutions(kind, real, real, complex_ones, 0, "", True, ())
-        return replace(counts, roots=found.expected, counted=counted), pairs
+            same = abs(places[i] - places[j]) <= SAME_POINT * np.max(np.abs(places - places[0]))
+            if same and not (posed[i] and posed[j]):
+                return replace(counts, special=REPEATED_POINT.format(i + 1, j + 1)), ()
+        order = np.argsort(~posed, kind="stable")  # poses first
+        found, back = four_bars(places[order], wanted, pivots=pivots), np.argsort(order)
+        pairs = []
+        for joints, ends, turned in zip(found.joints, found.pivots, found.angles, strict=True):
+            angles = np.unwrap(turned[back])
+            first = places[0] + np.exp(1j * (angles[0] - turned[0])) * (joints - places[order[0]])
+            one, other = (link(*both, found.size) for both in zip(first, ends, strict=True))
+            pairs += [FourBarSolution(*links, places, angles) for links in ((one, other), (other, one))[: 1 + either]]
+        rest, all_of_them = found.found - found.real, found.expected
+        return replace(counts, real=found.real, certified=found.real, complex=rest, roots=all_of_them), pairs
 
 
-def nine_points(task: DesignProblem) -> bool:
-    """Return whether a problem has finitely many exact solutions that take seconds: nine points of a four-bar, free timing."""
-    return (
-        alone(task, 9)
-        and marked(task)
-        and (task.requirement.kind, task.timing) == ("path", "free")
-        and len(task.free) >= 9
-        and not task.meets_again
-    )
+def given_pivots(task: DesignProblem) -> tuple[complex, complex] | None:
+    """Return the pivots [m] of a four-bar, the crank's first; None if they are not all fixed."""
+    loop, quantities = task.four_bar, task.quantities
+    if loop is None or not all(quantities[name].fixed for name in loop.ground):
+        return None
+
+    def values(*sizes: str | float) -> Iterator[float]:
+        return (quantities[size].value if isinstance(size, str) else size for size in sizes)
+
+    one, other = loop.pivots
+    assert not isinstance(one, Arm)
+    pivot = complex(*values(*one))
+    if isinstance(other, Arm):
+        return pivot, pivot + cmath.rect(*values(other.length, other.direction))
+    return pivot, complex(*values(*other))
+
+
+def poses_and_points(task: DesignProblem) -> bool:
+    """Return whether a problem of a four-bar with free timing has finitely many exact solutions that take seconds."""
+    kind, posed = task.requirement.kind, task.target_points.posed
+    if kind not in ("path", "motion") or task.timing != "free" or task.meets_again or not marked(task):
+        return False
+    count, poses = len(posed), max(1, int(posed.sum()))
+    if kind == "path" and given_pivots(task) is not None:
+        return alone(task, ON_GIVEN_PIVOTS) and len(task.free) >= ON_GIVEN_PIVOTS
+    number = CONDITIONS - (kind == "path")  # the angle of the poses on the coupler is one more
+    return alone(task, count) and (poses, count - poses) in COUNTS.keys() - {FIVE_POINTS} and len(task.free) >= number
 
 
 def _ranking(problem: ProblemFile, text: str) -> Goal:
@@ -80,8 +115,9 @@ def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
     ----------
     problem : ProblemFile, str or Path
         A four-bar for five poses with free timing, five points timed from a free start, five points of a law or function with
-        free start angles, or nine points with free timing; or a slider-crank for five points of a law of its slide. All
-        dimensions are design variables. Of four poses, which two dyads of a curve meet, the best four-bars are listed.
+        free start angles; with free timing four poses and two points, three and four, two and six, nine points, or five with
+        fixed pivots; or a slider-crank for five points of a law of its slide. All other dimensions are design variables. Of four
+        poses, which two dyads of a curve meet, the best four-bars are listed.
     by : str, optional
         Quantity of the machine that ranks them, in words: "total length", "peak acceleration of P", "maximise stroke of rocker".
         By default that of the objective of the file; without one, the transmission angle.
@@ -104,13 +140,12 @@ def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
     """
     problem = problem_of(problem)
     task = problem.variants()[0].spec
-    kind = next((kind for kind, suits in (*CHEAP, (NinePoints, nine_points)) if suits(task)), None)
+    kind = next((kind for kind, suits in (*CHEAP, (PosesAndPoints, poses_and_points)) if suits(task)), None)
     if kind is None:
-        message = (
-            "only four or five poses, five timed points or points of a function, and nine points have listed exact solutions"
-        )
+        message = "only as many poses, points or timed points as determine a linkage, and four poses, have listed exact solutions"
         remedy = (
-            "Give as many targets, with all dimensions and the start of the timing free; or leave out --all and requirement.exact"
+            "Give five poses, five targets with a free start, nine points, four poses and two points, three and four or two and "
+            "six, with all dimensions free, or five points with fixed pivots; or leave out --all and requirement.exact"
         )
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()

@@ -17,7 +17,7 @@ from optlink.linkage.mechanism import Arm, Mechanism
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.requirements.base import MARK, START
+from optlink.problem.requirements.base import MARK, START, pose_angles
 from optlink.problem.terms import Goal
 from optlink.synthesis.five_poses import POSES, FourBarSolution, couplers, dyads, timed_paths
 from optlink.tasks.results.design import LinkageDesign
@@ -133,7 +133,7 @@ class FiveTargets:
             assert task.data.offsets is not None
             kind, (found, pairs) = "five timed points", timed_paths(places, task.data.offsets)
         else:
-            angles = np.unwrap(np.arctan2(points[:, 3], points[:, 2]))
+            angles = np.unwrap(pose_angles(points))
             kind, found = "five poses", dyads(places, angles)
             links = [dyad for dyad in found.real if dyad.kind == "RR"]
             pairs = [FourBarSolution(a, b, places, angles) for a in links for b in links if a is not b]
@@ -250,7 +250,8 @@ def applies(task: DesignProblem) -> bool:
             return False
         return bool(np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12))
     timed = {"motion": "free", "path": "from start"}.get(task.requirement.kind)
-    return timed == task.timing and marked(task) and len(task.free) >= CONDITIONS and not task.meets_again
+    posed = task.requirement.kind == "path" or bool(task.target_points.posed.all())
+    return timed == task.timing and posed and marked(task) and len(task.free) >= CONDITIONS and not task.meets_again
 
 
 def _rises(task: DesignProblem, start: float, base: float) -> Array:

@@ -15,6 +15,7 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
+from optlink.problem.requirements.base import pose_angles
 from optlink.problem.terms import Goal
 from optlink.synthesis.five_poses import FourBarSolution, link
 from optlink.synthesis.four_poses import DEFECTS, POSES, DyadCurves, Pairs, curves
@@ -33,16 +34,16 @@ STEPS = (9, 3, 1)  # of the dyads along a curve, to better ones
 
 def curves_of(task: DesignProblem) -> DyadCurves | None:
     """Return the dyads of the poses of a requirement; None unless they are four."""
-    if task.requirement.kind != "motion" or len(task.data.columns) != POSES:
+    columns = task.data.columns
+    if task.requirement.kind != "motion" or len(columns) != POSES or not task.target_points.posed.all():
         return None
-    x, y, cosine, sine = task.data.columns.T[:4]
-    return curves(x + 1j * y, np.unwrap(np.arctan2(sine, cosine)))
+    return curves(columns[:, 0] + 1j * columns[:, 1], np.unwrap(pose_angles(columns)))
 
 
 def applies(task: DesignProblem) -> bool:
     """Return whether each four-bar of two dyads of four poses is a design of a problem, but for its bounds and limits."""
     guided = alone(task, POSES) and task.requirement.kind == "motion" and task.timing == "free"
-    return guided and marked(task) and len(task.free) >= CONDITIONS
+    return guided and bool(task.target_points.posed.all()) and marked(task) and len(task.free) >= CONDITIONS
 
 
 class FourTargets(FiveTargets):

@@ -26,7 +26,7 @@ from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.design import STEP, DesignProblem
 from optlink.problem.limits import Bound, RegionLimit, limits_in_file
 from optlink.problem.quantity import Unusable
-from optlink.problem.requirements.base import MARK
+from optlink.problem.requirements.base import MARK, pose_angles
 from optlink.problem.requirements.laws import DEAD_CENTRES
 from optlink.problem.targets.law import Table
 from optlink.problem.tolerances import EXPECTED, WORST
@@ -406,7 +406,8 @@ def point_deviations(
     squares = distances**2
     if MARK in problem.quantities:
         angle = motion.wrapped_angle(problem.body) + values[MARK]
-        turned = np.remainder(angle - np.arctan2(targets[..., 3], targets[..., 2]) + math.pi, TURN) - math.pi
+        wanted = pose_angles(targets)
+        turned = np.where(np.isnan(wanted), 0.0, np.remainder(angle - wanted + math.pi, TURN) - math.pi)
         squares = squares + (problem.radian * turned) ** 2
     return generated, distances, turned, squares
 
@@ -433,7 +434,8 @@ class _Points(_Targets):
         cosine, sine = np.cos(tilt), np.sin(tilt)
         parts = [x + cosine * place[..., 0] - sine * place[..., 1], y + sine * place[..., 0] + cosine * place[..., 1]]
         if MARK in self.problem.quantities:
-            parts.append(self.problem.radian * (motion.wrapped_angle(self.problem.body) + tilt))
+            turned = motion.wrapped_angle(self.problem.body) + tilt
+            parts.append(self.problem.radian * np.where(np.isnan(pose_angles(self.problem.data.columns)), 0.0, turned))
         return np.stack(parts, axis=-1)
 
     def difference(self, one: Array, other: Array) -> Array:

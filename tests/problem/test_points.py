@@ -79,6 +79,13 @@ def test_rows_as_tables_and_lists_mixed(tmp_path):
     np.testing.assert_allclose(expected.angles, [math.pi / 18, 0.0])
     assert expected.weights == (2.0, 1.0)
     assert expected.tolerances == (pytest.approx(1e-4), math.inf)
+    among = read_points([{"x": "1 mm", "y": "2 mm", "angle": "90 deg"}, ["3 mm", "4 mm"]], tmp_path)
+    assert among.angles == (pytest.approx(math.pi / 2), pytest.approx(math.nan, nan_ok=True))
+    assert among.posed.tolist() == [True, False]
+    (tmp_path / "among.csv").write_text("x_mm,y_mm,angle_deg\n1,2,90\n3,4,\n", "utf-8")
+    assert read_points({"csv": "among.csv"}, tmp_path).posed.tolist() == [True, False]
+    twice = [{"x": "1 mm", "y": "2 mm", "angle": "90 deg"}, ["1 mm", "2 mm"], ["3 mm", "4 mm"]]
+    refused(twice, tmp_path, "[1]", "points 1 and 2 coincide")
     mixed = read_points([["1 mm", "2 mm"], {"x": "3 mm", "y": "4 mm"}, {"x": "5 mm", "y": "6 mm", "weight": 3}], tmp_path)
     np.testing.assert_allclose(mm(mixed), [[1, 2], [3, 4], [5, 6]])
     assert (mixed.crank, mixed.angles, mixed.weights, mixed.tolerances) == (None, None, (1.0, 1.0, 3.0), None)

@@ -13,9 +13,11 @@ from optlink.cli.app import app
 from optlink.linkage import four_bar, sweep
 from optlink.presentation.report_model import report_model_of
 from optlink.presentation.views import conclusions
+from optlink.tasks.exact import given_pivots, poses_and_points
 from tests.synthesis.test_five_poses import cranked
 
 POSES = Path(__file__).parents[1] / "data" / "five-poses"
+MIXED = Path(__file__).parents[1] / "data" / "poses-and-points" / "four-and-two.toml"
 LENGTHS = {name: {"bounds": ["1 mm", "20 m"]} for name in ("crank", "coupler", "rocker", "frame")}
 PLACED = {
     "type": "four-bar",
@@ -283,6 +285,67 @@ def test_nine_points_of_a_crank_rocker_list_it_and_tell_why_others_are_no_use():
     reasons = {reason.partition(":")[0] for one in found.solutions for reason in one.reasons}
     assert {"circuit", "order"} <= reasons
     assert f"of 1442 triples of cognates are real (certified); {3 * found.real} four-bars" in found.sentence
+
+
+def test_poses_and_points_have_their_four_bar():
+    """Points among the poses have any angle."""
+    result = optlink.synthesis.exact(optlink.load(MIXED))
+    found = result.exact_solutions
+    assert (found.roots, found.complete, found.usable) == (30, True, 1)
+    assert len(found.solutions) == 2 * found.real > 2
+    assert found.sentence.startswith("four poses and two points: 8 of 30 four-bars are real (certified); 8 four-bars, 16 with")
+    check_mixed(result.best)
+
+
+@pytest.mark.slow
+def test_a_search_meets_poses_and_points():
+    check_mixed(optlink.solve(optlink.load(MIXED), starts=60).best)
+
+
+def check_mixed(design):
+    """Check that a design is the four-bar that the poses and points come from."""
+    assert design.valid
+    assert design.exact
+    lengths = [design.values[name] for name in ("crank", "coupler", "rocker", "frame", "P.along", "P.across")]
+    assert lengths == pytest.approx([0.06, 0.15, 0.12, 0.17, 0.07, 0.06], rel=1e-6)
+    assert np.max(np.abs(design.measured.turned)) < 1e-9
+    assert np.isfinite(design.points["turned_deg"]).tolist() == [True, False, True, True, False, True]
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_poses_and_points_in_any_order_are_the_same(first):
+    """The first target may be a point; the pose that comes first among the others then counts."""
+    raw = dict(optlink.load(MIXED).raw)
+    rows = raw["requirement"]["points"]
+    turned = [*rows[first:], *rows[:first]]
+    found = optlink.synthesis.exact(optlink.read({**raw, "requirement": {**raw["requirement"], "points": turned}}))
+    assert found.exact_solutions.usable == 1
+    assert found.best.values["mark"] == pytest.approx(0.0, abs=1e-6)
+    assert found.best.values["crank"] == pytest.approx(0.06, rel=1e-6)
+
+
+def test_five_points_between_given_pivots_have_their_four_bar():
+    raw = dict(optlink.load(MIXED).raw)
+    fixed = {"frame": "170 mm", "pivot": ["0 mm", "0 mm"], "direction": "0 deg"}
+    rows = [{axis: row[axis] for axis in "xy"} for row in raw["requirement"]["points"][:5]]
+    path = {"kind": "path", "point": "P", "points": rows}
+    result = optlink.synthesis.exact(optlink.read({**raw, "mechanism": {**raw["mechanism"], **fixed}, "requirement": path}))
+    found = result.exact_solutions
+    assert (found.roots, found.complete, found.either) == (36, True, False)
+    assert len(found.solutions) == found.real
+    assert any(design.values["crank"] == pytest.approx(0.06, rel=1e-6) for design in result.designs)
+    assert all(design.exact and design.values["frame"] == 0.17 for design in result.designs)
+    tilted = {"type": "dyads", "ground": {"A": ["1 mm", "2 mm"], "D": ["150 mm", "80 mm"]}}
+    bounds = {"bounds": ["10 mm", "400 mm"]}
+    point = {"P": [{"bounds": ["-300 mm", "300 mm"]}] * 2}
+    tilted["links"] = {
+        "crank": {"joints": ["A", "B"], "length": bounds},
+        "coupler": {"joints": ["B", "C"], "length": bounds, "points": point},
+        "rocker": {"joints": ["D", "C"], "length": bounds},
+    }
+    task = optlink.read({**raw, "mechanism": {**tilted, "assembly": {"C": "either"}}, "requirement": path}).variants()[0].spec
+    assert given_pivots(task) == (0.001 + 0.002j, 0.15 + 0.08j)
+    assert poses_and_points(task)
 
 
 def test_a_repeated_point_is_told():

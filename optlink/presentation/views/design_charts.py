@@ -38,6 +38,7 @@ from optlink.presentation.labels import Label
 from optlink.presentation.shapes import even, finite
 from optlink.presentation.views.design_tables import captions, words_of
 from optlink.presentation.views.design_view import DesignView, fitting, title_of, wrapped
+from optlink.problem.requirements.base import pose_angles
 from optlink.problem.targets.law import Function
 
 MAX_NUMBERED = 20  # number of points up to which each is numbered
@@ -100,8 +101,8 @@ class CloseUp:
     def _poses(self) -> tuple[Array, Array]:
         """Return the prescribed and the generated frames as lines."""
         view, k = self.track, self.shown
-        target_angles = np.arctan2(view.task.data.columns[:, 3], view.task.data.columns[:, 2])
-        targets = small_frames(view.targets[k] * self.unit.factor, target_angles[k], self.length)
+        target_angles = pose_angles(view.task.data.columns)[k]
+        targets = small_frames(view.targets[k] * self.unit.factor, target_angles, self.length)
         return targets, small_frames(view.generated[k] * self.unit.factor, view.angles(view.at)[k], self.length)
 
     def limits(self) -> tuple[Array, Array]:

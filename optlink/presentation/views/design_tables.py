@@ -26,6 +26,7 @@ from optlink.presentation.views.search_tables import (
     refuted_first,
     search_summary,
 )
+from optlink.problem.requirements.base import pose_angles
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.design import NO_SEARCH, LinkageDesign, SynthesisResult
 from optlink.tasks.results.fit import PathFit
@@ -143,7 +144,7 @@ class _Points(Words):
                 after = between[i : i + step]
                 row.append(number(1e3 * np.nanmax(after), 3) if np.any(np.isfinite(after)) else "")
             if measured.turned is not None:
-                row.append(number(math.degrees(measured.turned[i]), 3))
+                row.append(number(math.degrees(measured.turned[i]), 3) if design.task.target_points.posed[i] else "")
             rows.append(row)
         columns = [">", ">target x", ">y", ">generated x", ">y", ">error", ">crank angle"]
         columns += [">between"] * (between is not None) + [">turned by"] * (measured.turned is not None)
@@ -175,7 +176,7 @@ class _Poses(_Points):
         return [*super().figures(design), *([] if design.exact else [f"angle: largest {largest} deg"])]
 
     def columns(self, design: LinkageDesign) -> dict[str, Array]:
-        target, turned = np.arctan2(design.task.data.columns[:, 3], design.task.data.columns[:, 2]), design.measured.turned
+        target, turned = pose_angles(design.task.data.columns), design.measured.turned
         assert turned is not None
         angles = {"target.angle_rad": target, "generated.angle_rad": target + turned, "turned_rad": turned}
         return {**super().columns(design), **angles}

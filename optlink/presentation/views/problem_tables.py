@@ -141,9 +141,9 @@ def _plain(name: str, value: object) -> str:
 
 def _listed(targets: TargetPoints) -> str:
     """List the first points or poses."""
-    angles = targets.angles or (None,) * len(targets.points)
+    angles = targets.angles or (math.nan,) * len(targets.points)
     written = (
-        f"({1e3 * x:.6g}, {1e3 * y:.6g})" + ("" if angle is None else f" at {math.degrees(angle):.6g} deg")
+        f"({1e3 * x:.6g}, {1e3 * y:.6g})" + ("" if math.isnan(angle) else f" at {math.degrees(angle):.6g} deg")
         for (x, y), angle in zip(targets.points, angles, strict=True)
     )
     count, what = len(targets.points), "poses" if targets.angles else "points"

@@ -39,6 +39,12 @@ class TargetArrays:
     tolerances: Array
 
 
+def pose_angles(targets: Array) -> Array:
+    """Return the angles [rad] of poses as rows of `TargetArrays.columns` (..., 4), NaN where none is given."""
+    cosine, sine = targets[..., 2], targets[..., 3]
+    return np.where((cosine == 0.0) & (sine == 0.0), np.nan, np.arctan2(sine, cosine))
+
+
 @dataclass(frozen=True)
 class StartPosition:
     """Start of a law: crank direction, crank angle [rad] and prescribed output [rad or m] there."""

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
-from optlink.linkage.vector2d import Array, Value, angle_from, turn, unit
+from optlink.linkage.vector2d import Array, Value, angle_from, dot, turn, unit
 from optlink.problem.base_model import in_folder
 from optlink.problem.machine.model import MAX_SHIFT
 from optlink.problem.mechanism import moving_points
@@ -52,7 +52,7 @@ class PathRequirement(Requirement):
     measure: Measure = "sum of squares"
     """Measure that combines all deviations into the objective; `max` is the largest one."""
     exact: bool = False
-    """Whether only designs that meet five points or poses exactly are wanted: all of them, without a search."""
+    """Whether only designs that meet the points or poses exactly are wanted: all of them, without a search."""
 
     pointed: ClassVar[bool] = True
 
@@ -202,21 +202,22 @@ class MotionRequirement(PathRequirement):
         return 3
 
     def columns(self) -> Array:
-        """Return x, y [m], cosine and sine of every pose, (positions, 4)."""
+        """Return x, y [m], cosine and sine of every pose, (positions, 4); both are 0 where no angle is given."""
         assert self.targets.angles is not None
-        return np.column_stack([super().columns(), *unit(np.array(self.targets.angles))])
+        return np.column_stack([super().columns(), *np.nan_to_num(unit(np.array(self.targets.angles)))])
 
     def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:
         """Return actual minus prescribed x and y, and the angle times `radian` [m]."""
         turned = turn(pose.direction(carrier(problem.linkage, self.point)), unit(values[MARK]))
-        return [
-            *super().deviation(problem, pose, values, target),
-            self.radian(problem) * angle_from((target[2], target[3]), turned),
-        ]
+        wanted = target[2], target[3]
+        if not self.targets.posed.all():  # the direction of the body itself where no angle is given
+            free = 1.0 - dot(wanted, wanted)
+            wanted = wanted[0] + free * turned[0], wanted[1] + free * turned[1]
+        return [*super().deviation(problem, pose, values, target), self.radian(problem) * angle_from(wanted, turned)]
 
     def _check_angles(self, points: TargetPoints) -> None:
-        """Refuse points without angles."""
-        if points.angles is None:
+        """Refuse points of which none has an angle."""
+        if not points.posed.any():
             remedy = 'Write points = [{ x = "20 mm", y = "5 mm", angle = "30 deg" }, ...]'
             raise Unusable("a pose is a point and an angle, and the angles are missing", remedy, "requirement.points")
 

@@ -40,7 +40,8 @@ BINARY = {
 class TargetPoints:
     """Target points [m] of a path, in order; with `angles`, poses of a body.
 
-    `crank`, `angles` [rad]: the crank angle and the angle of the body at each point, None if not prescribed. `weights` of the
+    `crank`, `angles` [rad]: the crank angle and the angle of the body at each point, None if not prescribed, NaN at a point among
+    poses. `weights` of the
     squared distances, None where all are 1. `tolerances` [m]: the largest permitted distance, inf where there is none. `unit` for
     display. `loop`: sampled from a closed curve, whose first point is not repeated at the end. `note`: description of the
     sampling or reduction, for display.
@@ -54,6 +55,12 @@ class TargetPoints:
     unit: str = "mm"
     note: str = field(default="", compare=False)
     loop: bool = False
+
+    @property
+    def posed(self) -> NDArray[np.bool_]:
+        """Which points have an angle."""
+        given: NDArray[np.bool_] = ~np.isnan(np.full(len(self.points), np.nan) if self.angles is None else np.array(self.angles))
+        return given
 
     @property
     def size(self) -> float:
@@ -429,7 +436,7 @@ class PointRows:
 
 
 POINT_COLUMNS = {"x": "coordinate", "y": "coordinate", "crank": "angle", "angle": "angle", "weight": "", "tolerance": "length"}
-_LEFT_OUT = {"weight": 1.0, "tolerance": math.inf}  # defaults of a row
+_LEFT_OUT = {"weight": 1.0, "tolerance": math.inf, "angle": math.nan}  # defaults of a row
 
 
 def read_rows(raw: Sequence[object]) -> PointRows:
@@ -471,11 +478,10 @@ def read_rows(raw: Sequence[object]) -> PointRows:
                 first_rows.setdefault(name, number)
     if not raw:
         raise Unusable("there is no point", "Give at least one", "", raw)
-    for name in ("crank", "angle"):
-        lacks = next((number for number, value in enumerate(columns[name]) if math.isnan(value)), None)
-        if name in first_rows and lacks is not None:
-            message = f"point {lacks + 1} has no {name}, and point {first_rows[name] + 1} has one"
-            raise Unusable(message, f"Give {name} of all points or of none", f"[{lacks}].{name}")
+    lacks = next((number for number, value in enumerate(columns["crank"]) if math.isnan(value)), None)
+    if "crank" in first_rows and lacks is not None:
+        message = f"point {lacks + 1} has no crank, and point {first_rows['crank'] + 1} has one"
+        raise Unusable(message, "Give crank of all points or of none", f"[{lacks}].crank")
     return PointRows({name: np.array(columns[name]) for name in first_rows}, unit)
 
 
@@ -638,7 +644,8 @@ def check_apart(rows: PointRows) -> None:
     if "crank" not in columns:
         same = np.hypot(*np.diff(points, axis=0).T) <= COINCIDENT * diagonal(points)
         if "angle" in columns:
-            same &= np.diff(columns["angle"]) == 0.0
+            turned = np.diff(columns["angle"])
+            same &= np.isnan(turned) | (turned == 0.0)
         if same.any():
             row = int(np.argmax(same))
             in_list = rows.key is None or rows.numbers is not None

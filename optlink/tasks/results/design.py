@@ -492,7 +492,7 @@ class LinkageDesign(Summary):
             missing = np.full(len(measured.distances) - len(self.between), np.nan)
             points["between_mm"] = 1e3 * np.append(self.between, missing)
         if measured.turned is not None:
-            points["turned_deg"] = np.degrees(measured.turned)
+            points["turned_deg"] = np.where(task.target_points.posed, np.degrees(measured.turned), np.nan)
         return points
 
     @property

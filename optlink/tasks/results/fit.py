@@ -29,6 +29,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.design import STEP, DesignProblem
 from optlink.problem.document import Source
 from optlink.problem.quantity import Quantity
+from optlink.problem.requirements.base import pose_angles
 from optlink.problem.targets.law import Function, Table, begins_at_psi0
 from optlink.solvers.solution import LimitState, Solution
 from optlink.units import show
@@ -455,7 +456,8 @@ def _sized(errors: Array, size: float, unit: str, of: str, links: Sequence[float
 
 
 def _rotation(task: DesignProblem) -> float:
-    return float(np.ptp(np.unwrap(np.arctan2(task.data.columns[:, 3], task.data.columns[:, 2]))))
+    angles = pose_angles(task.data.columns)
+    return float(np.ptp(np.unwrap(angles[np.isfinite(angles)])))
 
 
 def _four_bar(task: DesignProblem, values: Mapping[str, float]) -> str:
