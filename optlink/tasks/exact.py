@@ -81,7 +81,8 @@ def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
     problem : ProblemFile, str or Path
         A four-bar for five poses with free timing, five points timed from a free start, five points of a law or function with
         free start angles, or nine points with free timing; or a slider-crank for five points of a law of its slide. All
-        dimensions are design variables. Of four poses, which two dyads of a curve meet, the best four-bars are listed.
+        dimensions are design variables. Of four poses, which two dyads of a curve meet, the best four-bars are listed; two or
+        three poses need both pivots, or both moving points, fixed.
     by : str, optional
         Quantity of the machine that ranks them, in words: "total length", "peak acceleration of P", "maximise stroke of rocker".
         By default that of the objective of the file; without one, the transmission angle.
@@ -107,7 +108,8 @@ def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
     kind = next((kind for kind, suits in (*CHEAP, (NinePoints, nine_points)) if suits(task)), None)
     if kind is None:
         message = (
-            "only four or five poses, five timed points or points of a function, and nine points have listed exact solutions"
+            "only four or five poses, two or three with given pivots or moving points, five timed points or points of a "
+            "function, and nine points have listed exact solutions"
         )
         remedy = (
             "Give as many targets, with all dimensions and the start of the timing free; or leave out --all and requirement.exact"
