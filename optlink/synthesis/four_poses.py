@@ -28,6 +28,8 @@ ON_CIRCLE = 1e-6  # deviation of a root of the discriminant from the unit circle
 DEFECTS = ("", "circuit", "branch", "order", "no four-bar")
 """What keeps a four-bar from passing the poses, by number."""
 
+ANY = "a given {} lies at a pole, about which the body turns from one pose to another: infinitely many dyads have it"
+WIDEST = 1.4  # rad; largest direction of points along the line of two poses
 REPEATED = "poses {} and {} are the same: three poses have a dyad for each point of the body"
 
 
@@ -127,6 +129,35 @@ def curves(places: Sequence[complex] | Complex, angles: Sequence[float] | Array,
     points, pivots = (np.concatenate([part for one in traced for part in (one[k], gap)]) for k in (0, 1))
     finite = poles[sines > SPECIAL, :2]
     return DyadCurves(z, turn, size, (points, pivots), [z[0].real, z[0].imag] + size * finite)
+
+
+def dyads_of_joint(places: Complex, angles: Array, joint: complex, *, fixed: bool, samples: int = SAMPLES) -> DyadCurves:
+    """Return the dyad of three poses, or those of two along a line, with a given joint at the first pose.
+
+    Parameters
+    ----------
+    joint : complex [m]
+        Pivot of the frame if `fixed`, whose points of the body are sought; else a point of the body, whose pivots are.
+    """
+    size = float(np.max(np.abs(places - places[0]))) or 1.0
+    z = (joint - places[0]) / size
+    given = np.array([z.real, z.imag, 1.0])
+    q = equations((places - places[0]) / size, angles)[0]
+    rows = q @ given if fixed else given @ q
+    found = np.cross(rows[0], rows[1])[None, :] if len(rows) > 1 else _along(rows[0], samples)
+    lengths = np.linalg.norm(found, axis=1)[:, None]
+    if not np.all(lengths > SPECIAL):
+        return DyadCurves(places, angles, size, special=ANY.format("pivot" if fixed else "point"))
+    found, given = found / lengths, np.repeat(given[None, :] / np.linalg.norm(given), len(found), axis=0)
+    return DyadCurves(places, angles, size, (found, given) if fixed else (given, found))
+
+
+def _along(row: Array, samples: int) -> Array:
+    """Return points (n, 3) of the line row @ x = 0, evenly spaced in direction as seen at the unit distance."""
+    square = float(row[:2] @ row[:2])
+    foot, along = -row[2] * row[:2] / (square or 1.0), np.array([-row[1], row[0]]) / (math.sqrt(square) or 1.0)
+    places = foot + np.tan(np.linspace(-WIDEST, WIDEST, samples))[:, None] * along
+    return np.column_stack([places, np.ones(samples)]) * (square > SPECIAL**2)
 
 
 def _poles(scaled: Complex, turn: Array) -> tuple[Array, Array]:

@@ -174,14 +174,15 @@ class FiveTargets:
         reasons = list(pair.defects)
         loops = [_loop(file.spec) for file in self.files]
         variant = next((k for k, loop in enumerate(loops) if loop is not None and loop.side == side), None)
-        mode = (("forward", "backward") if slides else ("left", "right"))[side < 0]
+        words = ("forward", "backward") if slides else ("left", "right")
+        mode = words[side < 0] if variant is None else mode_of(self.files[variant])
         certified = pair.crank.certified and pair.follower.certified
         design, figure = None, None
         if not reasons and variant is None:
             reasons.append(f'assembly: it needs "{mode}"')
         if not reasons and variant is not None:
             design = self._design(variant, values, phi)
-            values, mode = design.values, mode_of(design.problem)
+            values = design.values
             reasons += _failures(design)
             transmission = transmission if reasons else design.least_transmission
             figure = self._figure(design)

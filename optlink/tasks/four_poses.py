@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 import time
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +17,17 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
-from optlink.problem.requirements.base import pose_angles
+from optlink.problem.requirements.base import MARK, pose_angles
 from optlink.problem.terms import Goal
-from optlink.synthesis.five_poses import FourBarSolution, link
-from optlink.synthesis.four_poses import DEFECTS, POSES, DyadCurves, Pairs, curves
+from optlink.synthesis.five_poses import Complex, FourBarSolution, link
+from optlink.synthesis.four_poses import DEFECTS, POSES, DyadCurves, Pairs, curves, dyads_of_joint, pairs
 from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, applies as of_five_targets, marked
 from optlink.tasks.results.design import SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolutions
 
 MOST = 400  # dyads that are drivers and followers of all pairs
 APART = 0.04  # least distance of listed pairs along one of the curves, as a share of the dyads
+KINDS_OF = {2: "two poses with given joints", 3: "three poses with given joints", POSES: "four poses"}
 DESIGNS = 6  # largest number of listed four-bars
 TRIED = 40  # largest number of four-bars that are validated
 FRAME_LENGTH = "frame length"
@@ -42,32 +45,89 @@ def curves_of(task: DesignProblem) -> DyadCurves | None:
 
 def applies(task: DesignProblem) -> bool:
     """Return whether each four-bar of two dyads of four poses is a design of a problem, but for its bounds and limits."""
-    guided = alone(task, POSES) and task.requirement.kind == "motion" and task.timing == "free"
-    return guided and bool(task.target_points.posed.all()) and marked(task) and len(task.free) >= CONDITIONS
+    return _guided(task, POSES) and len(task.free) >= CONDITIONS
+
+
+def _guided(task: DesignProblem, count: int) -> bool:
+    """Return whether the coupler of a four-bar takes a number of poses with free timing."""
+    guided = alone(task, count) and task.requirement.kind == "motion" and task.timing == "free"
+    return guided and bool(task.target_points.posed.all()) and marked(task)
+
+
+def joints_given(task: DesignProblem) -> bool:
+    """Return whether a problem of two or three poses fixes both pivots or both moving points of the body, and nothing else."""
+    return (_guided(task, 2) or _guided(task, 3)) and _sides(task) is not None
+
+
+def _sides(task: DesignProblem) -> tuple[DyadCurves, DyadCurves] | None:
+    """Return the dyads of crank and rocker: all of four poses, else those with the joints that are given; None without them."""
+    if (found := curves_of(task)) is not None:
+        return found, found
+    loop, values, free = task.four_bar, task.design({}), set(task.free)
+    assert loop is not None
+    mark = task.linkage.marks[loop.coupler.body, task.point]
+    frame, body = {*loop.ground}, {loop.names[1], str(mark.along), str(mark.across), MARK}
+    fixed, begin = not frame & free, loop.pivots[0]
+    if free != {loop.names[0], loop.names[2]} | (body if fixed else frame) or not (fixed or len(frame) == 4):
+        return None
+    if isinstance(begin, Arm) or any(task.quantities[name].equals for name in (frame if fixed else body)):
+        return None
+
+    def size(part: Any) -> float:
+        return float(values[part] if isinstance(part, str) else part)
+
+    columns = task.data.columns
+    places, angles = columns[:, 0] + 1j * columns[:, 1], np.unwrap(pose_angles(columns))
+    end, one = loop.pivots[1], complex(*map(size, begin))
+    if not fixed:
+        backwards = loop.coupler.start != loop.pin
+        way = cmath.exp(1j * (float(angles[0]) - values[MARK]))  # from the start of the coupler to its end
+        along, beside = way * size(loop.coupler.length), way * complex(size(mark.along), size(mark.across))
+        one, other = complex(places[0]) - beside, complex(places[0]) - beside + along
+        one, other = (other, one) if backwards else (one, other)
+    elif isinstance(end, Arm):
+        other = one + cmath.rect(size(end.length), size(end.direction))
+    else:
+        other = complex(*map(size, end))
+    crank, rocker = (dyads_of_joint(places, angles, joint, fixed=fixed) for joint in (one, other))
+    return crank, rocker
 
 
 class FourTargets(FiveTargets):
-    """The best four-bars of two dyads of four poses, for a problem with definite assembly modes in `files`; see `applies`."""
+    """The best four-bars of two dyads of four poses, or of two or three ones with given joints; see `applies`, `joints_given`.
+
+    `files`: the problem with definite assembly modes.
+    """
 
     def __init__(self, files: Sequence[ProblemFile], goal: Goal | None = None, chosen: tuple[int, int] | None = None) -> None:
-        found = curves_of(files[0].spec)
+        found = _sides(files[0].spec)
         assert found is not None
-        self.curves, self.chosen, self.sentence = found, chosen, found.special
+        self.curves, self.followers = found
+        self.chosen, self.sentence = chosen, self.curves.special or self.followers.special
         super().__init__(files, goal)
         self.found = self.found[:DESIGNS]
 
     def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
         """Return how many pairs of dyads pass the poses, and varied four-bars that do so within the bounds, best first."""
         found = self.curves
-        points, pivots = found.dyads
+        points, _ = found.dyads
         for row in self.chosen or ():
             if not 0 <= row < len(points) or np.isnan(points[row]):
                 message = found.special or "no dyad of finite lengths"
                 raise InputError(message, "Give a row of `dyad_curves`", self.files[0].file, "driver, follower", row)
-        rows = [self.chosen] if self.chosen else [] if found.special else list(self._best())
-        dyads = {k: link(points[k], pivots[k], found.size) for pair in rows for k in pair}
-        counts = ExactSolutions("four poses", 0, 0, 0, 0, self.sentence, False, ())
-        return counts, [FourBarSolution(dyads[i], dyads[k], found.places, found.angles) for i, k in rows]
+        if len(points) == 1:  # three poses: their only four-bar
+            finite = [not np.isnan(side.dyads[0][0]) for side in (found, self.followers)]
+            counts = ExactSolutions(KINDS_OF[3], 2, 2, 0, 2 - sum(finite), self.sentence, False, (), roots=2, counted="dyads")
+            return counts, [self._four_bar(0, 0)] if all(finite) else []
+        rows = [self.chosen] if self.chosen else [] if self.sentence else list(self._best())
+        counts = ExactSolutions(KINDS_OF[len(found.places)], 0, 0, 0, 0, self.sentence, False, ())
+        return counts, [self._four_bar(i, k) for i, k in rows]
+
+    def _four_bar(self, driver: int, follower: int) -> FourBarSolution:
+        """Return the four-bar of two dyads."""
+        rows = (self.curves, driver), (self.followers, follower)
+        crank, rocker = (link(side.dyads[0][row], side.dyads[1][row], side.size) for side, row in rows)
+        return FourBarSolution(crank, rocker, self.curves.places, self.curves.angles)
 
     def _best(self) -> Iterator[tuple[int, int]]:
         """Yield driver and follower of varied pairs, the best one first, and compose the sentence."""
@@ -75,11 +135,13 @@ class FourTargets(FiveTargets):
         finite = np.flatnonzero(~np.isnan(found.points[:, 0]))
         rows = finite[np.unique(np.linspace(0, len(finite) - 1, MOST).astype(int))]
         drivers = rows[found.in_order[rows]]
-        every = found.partners(drivers, rows)
+        b, a, e, c = self._joints(drivers, rows)
+        every = pairs(found.places, found.angles, (b, a), (e, c))
         turning = every.turns | (task.limits.crank == "span")
         passing = (every.defect == 0) & turning
         inside = passing & self._inside(drivers, rows)
         count, curve = inside.size, f"{found.count} closed curve{'s' * (found.count > 1)}"
+        curve = curve if len(found.places) == POSES else "a line"
         shares = {name: np.mean(every.defect == k) for k, name in enumerate(DEFECTS[:4]) if name}
         shares["crank does not turn"] = np.mean((every.defect == 0) & ~turning)
         reasons = ", ".join(f"{name} {share:z.0%}" for name, share in shares.items() if share >= 0.005)
@@ -115,13 +177,11 @@ class FourTargets(FiveTargets):
         def measured(i: int, k: int) -> float:
             if not seen[i, k]:
                 seen[i, k] = True
-                crank, rocker = (link(points[row], pivots[row], self.curves.size) for row in (drivers[i], followers[k]))
-                found = self._judged(FourBarSolution(crank, rocker, self.curves.places, self.curves.angles))
+                found = self._judged(self._four_bar(drivers[i], followers[k]))
                 if found is not None and found.solution.usable:
                     good[i, k] = -self._rank(found.solution)
             return float(good[i, k])
 
-        points, pivots = self.curves.dyads
         places = np.argwhere(passing)
         for i, k in places[:: max(1, len(places) // MEASURED)]:
             measured(i, k)
@@ -142,11 +202,16 @@ class FourTargets(FiveTargets):
         """Return the least transmission angle [rad] over the range that the problem limits, as far as it is known."""
         return every.around if self.task.limits.transmission_range == "revolution" else every.transmission
 
+    def _joints(self, drivers: Array, followers: Array) -> tuple[Complex, Complex, Complex, Complex]:
+        """Return crank pins, crank pivots, rocker pins and rocker pivots of rows of the dyads as complex numbers."""
+        (b, a), (e, c) = self.curves.dyads, self.followers.dyads
+        return b[drivers], a[drivers], e[followers], c[followers]
+
     def _lengths(self, drivers: Array, followers: Array) -> dict[str, Array]:
         """Return lengths and pivots [m] of pairs by name, "frame length" and "total length" too, (drivers, followers)."""
-        loop, (points, pivots) = self.task.four_bar, self.curves.dyads
+        loop, (b, a, e, c) = self.task.four_bar, self._joints(drivers, followers)
         assert loop is not None
-        b, a, e, c = points[drivers][:, None], pivots[drivers][:, None], points[followers], pivots[followers]
+        b, a = b[:, None], a[:, None]
         named = dict(zip(loop.names, (np.abs(b - a), np.abs(e - b), np.abs(e - c)), strict=True))
         for place, at in zip(loop.pivots, (a, c), strict=True):
             parts = {place.length: np.abs(c - a)} if isinstance(place, Arm) else {place[0]: at.real, place[1]: at.imag}
@@ -166,7 +231,7 @@ class FourTargets(FiveTargets):
         return inside
 
 
-CHEAP = ((FiveTargets, of_five_targets), (FourTargets, applies))
+CHEAP = ((FiveTargets, of_five_targets), (FourTargets, applies), (FourTargets, joints_given))
 """Exact solutions with which a search begins, and which problems have them."""
 
 

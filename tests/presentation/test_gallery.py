@@ -7,6 +7,7 @@ import pytest
 
 import optlink
 from optlink.presentation.html.gallery import gallery
+from tests.as_dyads import as_dyads
 from tests.browser import faults, opened
 
 
@@ -37,3 +38,8 @@ def test_the_page_shows_them_all_in_motion(tmp_path, driver):
     assert button.text.endswith("Pause")
     wait = importlib.import_module("selenium.webdriver.support.ui").WebDriverWait(driver, 30, 0.05)
     wait.until(lambda shown: shown.execute_script(where) != before)
+
+
+def test_a_chain_of_dyads_has_pictures():
+    shown = gallery(optlink.synthesis.exact(as_dyads(optlink.load("motion-5-poses"))))
+    assert all(picture.motion for picture in shown.pictures)

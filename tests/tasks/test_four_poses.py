@@ -10,7 +10,10 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
+from optlink.linkage import four_bar, sweep
+from optlink.synthesis.four_poses import dyads_of_joint
 from tests.as_dyads import as_dyads
+from tests.synthesis.test_five_poses import cranked
 
 PROBLEM = "motion-4-poses"
 
@@ -69,6 +72,79 @@ def test_any_quantity_ranks_the_pairs(monkeypatch):
     fast = optlink.synthesis.exact(PROBLEM, by="peak velocity of P").exact_solutions
     assert "was measured" in fast.sentence
     assert fast.solutions[0].figure <= min(one.figure for one in fast.solutions if one.usable)
+
+
+def posed(count, seed):
+    """A crank-rocker with its sizes by name, and poses of its coupler at some crank angles."""
+    sizes, phi, *_ = cranked(np.random.default_rng(seed))
+    names = {
+        **dict(zip(("crank", "coupler", "rocker"), sizes, strict=True)),
+        **{"frame": 1.0, "P.along": 0.4, "P.across": 0.3, "A.x": 0.2, "A.y": -0.1, "direction": 0.3},
+    }
+    moved = sweep(four_bar(side=1, points=["P"], placed=True), names, phi[:count])
+    angles = np.unwrap(moved.body_angle("coupler").value)
+    rows = [
+        {"x": f"{x!r} m", "y": f"{y!r} m", "angle": f"{math.degrees(at)!r} deg"}
+        for (x, y), at in zip(moved.position("P")[:, :2].tolist(), angles.tolist(), strict=True)
+    ]
+    free = {name: {"bounds": ["1 mm", "20 m"]} for name in ("crank", "coupler", "rocker", "frame")}
+    place = [{"bounds": ["-20 m", "20 m"]}] * 2
+    raw = {
+        "title": "poses of a known linkage",
+        "mechanism": {
+            "type": "four-bar",
+            **free,
+            "points": {"P": place},
+            "pivot": place,
+            "direction": {"bounds": ["-180 deg", "180 deg"]},
+            "assembly": "either",
+        },
+        "requirement": {"kind": "motion", "points": rows},
+        "limits": {"transmission_angle": ["0.1 deg", "179.9 deg"], "alignment": "0.1 deg"},
+    }
+    pivots = {
+        "mechanism.pivot": ["0.2 m", "-0.1 m"],
+        "mechanism.frame": "1 m",
+        "mechanism.direction": f"{math.degrees(0.3)!r} deg",
+    }
+    points = {"mechanism.coupler": f"{sizes[1]!r} m", "mechanism.points.P": ["0.4 m", "0.3 m"], "requirement.mark": "0 deg"}
+    return optlink.read(raw), names, pivots, points
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_three_poses_with_given_joints_have_one_four_bar(seed):
+    file, names, *given = posed(3, seed)
+    for fixed in given:
+        found = optlink.synthesis.exact(file.override(fixed)).exact_solutions
+        assert found.complete
+        (one,) = found.solutions
+        assert [one.values[name] for name in names] == pytest.approx([*names.values()], abs=1e-7)
+    result = optlink.solve(file.override(given[0]))
+    assert result.valid == found.solutions[0].usable
+    with pytest.raises(optlink.InputError, match="given pivots or moving points"):
+        optlink.synthesis.exact(file.override({"mechanism.pivot": given[0]["mechanism.pivot"]}))
+
+
+def test_two_poses_with_given_joints_have_the_best_of_two_lines():
+    """The pins that belong to a pivot are as far from it in both poses."""
+    file, _, *given = posed(2, 0)
+    for fixed in given:
+        result = optlink.synthesis.exact(file.override(fixed))
+        assert result.exact_solutions.usable > 1
+        assert all(design.exact and design.valid for design in result.designs)
+        angles = [design.least_transmission for design in result.designs]
+        assert angles == sorted(angles, reverse=True)
+    pose = np.array([0.1 + 0.2j, 0.5 - 0.1j]), np.array([0.2, 1.1])
+    side = dyads_of_joint(*pose, 0.3 + 0.4j, fixed=True)
+    pins, pivots = side.dyads
+    carried = [pose[0][k] + np.exp(1j * (pose[1][k] - pose[1][0])) * (pins - pose[0][0]) for k in (0, 1)]
+    assert np.abs(carried[1] - pivots) == pytest.approx(np.abs(carried[0] - pivots), rel=1e-9)
+
+
+def test_given_joints_that_leave_a_dyad_free_are_told():
+    turn = np.exp(0.8j)
+    places, angles = np.array([1.0 + 0.0j, turn, 0.3 + 1.0j]), np.array([0.0, 0.8, 1.1])
+    assert "at a pole" in dyads_of_joint(places, angles, 0j, fixed=True).special
 
 
 def test_a_chain_of_dyads_has_the_same_four_bars(best):

@@ -11,6 +11,7 @@ from optlink.presentation.html.moving_linkage import cycle_of
 from optlink.presentation.scene import scene
 from optlink.tasks.results.design import SynthesisResult
 from optlink.tasks.results.exact import BY_TRANSMISSION
+from optlink.tasks.search import mode_of
 
 STEPS = 48  # positions per revolution
 MOST = 24  # largest number of pictures
@@ -49,9 +50,9 @@ def gallery(result: SynthesisResult) -> Gallery | None:
     found, model = result.exact_solutions, result.problem.model
     if found is None or not found.solutions:
         return None
-    pictures = []
+    pictures, modes = [], {mode_of(file): file for file in result.problem.variants()}
     for k, one in enumerate(found.solutions[:MOST], start=1):
-        file = result.problem.variant(one.assembly)
+        file = modes.get(one.assembly)
         cycle = None if file is None else cycle_of(file, one.values, math.nan if one.crank_angle is None else one.crank_angle)
         drawn = None if cycle is None else scene(cycle, STEPS)
         sizes = {}
