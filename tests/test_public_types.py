@@ -13,7 +13,7 @@ from tests.test_docs import MADE
 from tests.test_public_names import PUBLIC
 
 INTERNAL = """
-    Problem DesignProblem BalanceSection BalanceGoal Term NLP Machine Cycle Link Arm Dyad BodyPoint Guide Parameters
+    Problem DesignProblem BalanceSection Term NLP Machine Cycle Link Arm Dyad BodyPoint Guide Parameters
     Drive Element Single Train Pose Counterweight FreeSpring Output Canvas Summary Stationarity Scale TemporaryFolder
 """
 """Classes of models, programmes and machines, which docs/api/parts.md calls internal: what they lead to is so too."""

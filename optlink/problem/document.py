@@ -202,7 +202,7 @@ class Document(Summary):
     """Name of the kind of result, in the schema of its documents."""
     shown: ClassVar[Mapping[str, Source]] = {}
     """Computed entries by key; one whose key ends in "?" is left out if it is None."""
-    stored: ClassVar[tuple[str, ...] | None] = None
+    _stored: ClassVar[tuple[str, ...] | None] = None
     """Fields from which the others are computed again when it is read, see `_restored`. Default: all are stored."""
 
     meta: ClassVar[Mapping[str, Any]] = Frozen()
@@ -353,8 +353,8 @@ class Document(Summary):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
-        if self.stored is not None:
-            state = {name: getattr(self, name) for name in self.stored}
+        if self._stored is not None:
+            state = {name: getattr(self, name) for name in self._stored}
         else:
             state = adapter(type(self)).dump_python(self, context={"problem": self.problem}, exclude={"problem"}, warnings=False)
         hidden = hidden_fields(type(self))
@@ -412,8 +412,8 @@ class Document(Summary):
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
         """Return the JSON schema of the documents: of their fields; computed entries may be anything."""
-        whole = adapter(cls).json_schema(mode="serialization") if cls.stored is None else {}
-        parts: dict[str, Any] = whole.get("properties", {name: {} for name in cls.stored or ()})
+        whole = adapter(cls).json_schema(mode="serialization") if cls._stored is None else {}
+        parts: dict[str, Any] = whole.get("properties", {name: {} for name in cls._stored or ()})
         hidden, added = hidden_fields(cls), ADDED.get(cls.kind, ())
         properties = {
             "schema": {"const": cls.schema()},
@@ -463,12 +463,12 @@ def adapter(kind: type[Any]) -> TypeAdapter[Any]:
 
 def stored_fields(kind: Any) -> tuple[str, ...]:
     """Return the names of the fields in a document, without the problem."""
-    return kind.stored or tuple(item.name for item in fields(kind) if item.init and item.name != "problem")
+    return kind._stored or tuple(item.name for item in fields(kind) if item.init and item.name != "problem")
 
 
 def hidden_fields(kind: Any) -> frozenset[str]:
     """Return the fields that stand under `state`: those whose names computed entries take, and those that are read alone."""
-    return frozenset(kind.stored or set(stored_fields(kind)) & {*HEAD, *(key.rstrip("?") for key in kind.shown)})
+    return frozenset(kind._stored or set(stored_fields(kind)) & {*HEAD, *(key.rstrip("?") for key in kind.shown)})
 
 
 def entries(item: Any) -> Iterator[tuple[str, Any]]:

@@ -42,7 +42,7 @@ class OutputStudy(Document):
     """The derivatives of an output of a linkage with the dimensions `sizes` [SI], at crank angles [rad]."""
 
     kind = "output sensitivity"
-    stored = ("output", "sizes", "crank_angles")
+    _stored = ("output", "sizes", "crank_angles")
     status = "done"
     shown: ClassVar[Mapping[str, Source]] = {
         "output": "output",

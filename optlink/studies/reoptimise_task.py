@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from optlink.errors import InputError, Status
 from optlink.execution.worker import Runs
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.courses import course_again
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP, BatchNLP
@@ -39,7 +39,7 @@ from optlink.problem.rounding import NO_GRID
 from optlink.solvers import multistart
 from optlink.solvers.contract import selectable
 from optlink.solvers.exchange import with_peaks
-from optlink.solvers.solution import FEASIBLE, Attempt, Solution
+from optlink.solvers.solution import FEASIBLE, SAME_OBJECTIVE, Attempt, Solution
 from optlink.studies.batch_optima import (
     FOLLOWED,
     MAX_BLOCK_POINTS,
@@ -57,7 +57,7 @@ from optlink.studies.target_programme import PeakProgramme, TargetProgramme, in_
 from optlink.tasks import design as targets
 from optlink.tasks.certify import automatic
 from optlink.tasks.protocol import completed
-from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
+from optlink.tasks.results.design import DISTINCT, NO_ANGLE, LinkageDesign, SynthesisResult, of_designs
 from optlink.tasks.run import design_task, solve
 from optlink.tasks.search import validated_design
 from optlink.units import in_si
@@ -260,7 +260,7 @@ class ReoptimiseTask(SweepTask):
                 if file.task == "cycle" and not result.valid and result.status is Status.OPTIMAL:
                     again = near_design(file, result.design, self.backend)
                     result = again if again.valid else result
-                result = result.oriented
+                result = oriented(result)
             keep(self._results, point, result, FILES)
         return self._results[point]
 
@@ -340,7 +340,7 @@ class ReoptimiseTask(SweepTask):
 
     def result_row(self, point: int, result: SynthesisResult, how: str) -> list[str]:
         """Return the row of a result."""
-        result = result.oriented
+        result = oriented(result)
         failed = tuple(dict.fromkeys(item.name for item in result.conflict)) or result.validation.failed
         solution = result.solution
         limits = () if solution is None or not (result.problem.spec.parts or solution.usable) else active(solution)
@@ -544,3 +544,31 @@ def _labels(nlp: NLP, entries: Iterable[int], sides: Array) -> tuple[str, ...]:
         elif entry < n and nlp.variables[entry].name not in nlp.helpers:
             names.append(f"{nlp.variables[entry].name} {'<=' if sides[entry] > 0.0 else '>='} its bound")
     return tuple(dict.fromkeys(names))
+
+
+def oriented(result: SynthesisResult) -> SynthesisResult:
+    """Return a result with the same one of several equally good designs first, whichever of them a search finds first.
+
+    These are mirror images for a symmetric path, for example. The one with the largest first design variable in which they
+    differ is chosen, so that results of neighbouring problems belong together. An angle of -180 deg is 180 deg.
+    """
+    if not result.designs:
+        return result
+    first = result.designs[0]
+    equal = [d for d in result.designs if d.error <= first.error * (1.0 + SAME_OBJECTIVE) or (d.exact and first.exact)]
+    equal = [d for d in equal if str(d.assembly) == min(str(other.assembly) for other in equal)]
+    for name in first.whole.free:
+        most = max(_unwrapped(design, name) for design in equal)
+        within = DISTINCT * max(first.task.size if first.whole.quantities[name].in_metres else 1.0, abs(most))
+        equal = [design for design in equal if _unwrapped(design, name) >= most - within]
+    chosen = replace(equal[0], values={name: _unwrapped(equal[0], name) for name in equal[0].values})
+    return replace(result, designs=(chosen, *(design for design in result.designs if design is not equal[0])))
+
+
+def _unwrapped(design: LinkageDesign, name: str) -> float:
+    """Return a quantity [SI]: of an angle free over a full turn, 180 deg instead of -180 deg."""
+    value, quantity = design.values[name], design.whole.quantities.get(name)
+    if quantity is None or not quantity.free or not design.whole.is_periodic(name):
+        return value
+    turned = value + math.pi <= NO_ANGLE and quantity.bounds[1] >= math.pi - NO_ANGLE
+    return min(value + TURN, quantity.bounds[1]) if turned else value

@@ -45,7 +45,7 @@ from optlink.tasks.machine import (
     starting_angle,
     table_angles,
 )
-from optlink.tasks.results.extremes import Extremes, distances
+from optlink.tasks.results.extremes import Extremes, both_ways, distances
 from optlink.tasks.results.strokes import stroke_records
 from optlink.units import KINDS
 
@@ -86,7 +86,7 @@ class Analysis(Tabled):
     """
 
     kind = "analysis"
-    stored = ("asked", "speed", "design")
+    _stored = ("asked", "speed", "design")
     shown: ClassVar[Mapping[str, Source]] = {
         "notes": "notes",
         "groups": lambda result: [
@@ -98,8 +98,8 @@ class Analysis(Tabled):
         "full_rotation": "full",
         "reachable_deg": lambda result: [list(map(math.degrees, ends)) for ends in result.ranges.ranges],
         "reactions": lambda result: reaction_conventions(result.machine),
-        "strokes": lambda result: result.documents(result.strokes, "m"),
-        "swings": lambda result: result.documents(result.swings, "rad"),
+        "strokes": lambda result: _travel_documents(result, result.strokes, "m"),
+        "swings": lambda result: _travel_documents(result, result.swings, "rad"),
         "extremes": lambda result: {
             name: {"min": low, "max": high, "min_at_deg": math.degrees(low_at), "max_at_deg": math.degrees(high_at)}
             | {
@@ -109,14 +109,14 @@ class Analysis(Tabled):
             }
             for name, (low, low_at, high, high_at) in result.extremes.items()
         },
-        "load_jumps_deg": lambda result: result.within(result.jumps),
+        "load_jumps_deg": lambda result: _cycle_degrees(result, result.jumps),
         "work_J": "work",
-        "singular_deg": lambda result: result.within(result.singular),
+        "singular_deg": lambda result: _cycle_degrees(result, result.singular),
         "singular_positions": lambda result: _singular_documents(result.ranges),
         "cycle_deg": lambda result: math.degrees(result.cycle) if result.full else None,
         "unbounded": "unbounded",
-        "jammed_deg": lambda result: result.within(result.jammed),
-        "undefined_deg": lambda result: result.within(result.undefined),
+        "jammed_deg": lambda result: _cycle_degrees(result, result.jammed),
+        "undefined_deg": lambda result: _cycle_degrees(result, result.undefined),
         "meanings": "meanings",
         "columns": "columns",
         "flywheel?": lambda result: (
@@ -212,11 +212,6 @@ class Analysis(Tabled):
         found = MotionColumns(self.machine.moving(angles, self.speed, side=side))
         return {name: found[name] for name in found.meanings}
 
-    def within(self, crank_angles: Array) -> list[float]:
-        """Return crank angles [deg], without duplicates, reduced to one cycle if the crank turns fully."""
-        angles = [within_cycle(at, self.cycle) if self.full else float(at) for at in crank_angles]
-        return sorted({round(math.degrees(at), 9) for at in angles})
-
     sound = Renamed("valid")
 
     @property
@@ -253,28 +248,28 @@ class Analysis(Tabled):
         """Loads that act in one stroke only; empty if the crank cannot turn fully."""
         return acting_loads(self.machine, self.speed) if self.full else ()
 
-    def documents(self, travels: Mapping[str, Travel], unit: str) -> dict[str, dict[str, Any]]:
-        """Return strokes or swings as JSON, in `unit`.
 
-        Parameters
-        ----------
-        travels : mapping of str to Travel
-            [m, rad]
-        unit : "m" or "rad"
-        """
-        return {
-            name: {
-                f"span_{unit}": travel.span,
-                f"low_{unit}": travel.low,
-                f"high_{unit}": travel.high,
-                "low_at_deg": math.degrees(travel.low_at),
-                "high_at_deg": math.degrees(travel.high_at),
-                "dead_centres_deg": [math.degrees(at) for at in travel.dead_centres],
-                "time_ratio": travel.time_ratio,
-                **stroke_records(travel, self.speed, self.acting),
-            }
-            for name, travel in travels.items()
+def _cycle_degrees(result: Analysis, crank_angles: Array) -> list[float]:
+    """Return crank angles [deg], without duplicates, reduced to one cycle if the crank turns fully."""
+    angles = [within_cycle(at, result.cycle) if result.full else float(at) for at in crank_angles]
+    return sorted({round(math.degrees(at), 9) for at in angles})
+
+
+def _travel_documents(result: Analysis, travels: Mapping[str, Travel], unit: str) -> dict[str, dict[str, Any]]:
+    """Return strokes [m] or swings [rad] as JSON, in `unit`."""
+    return {
+        name: {
+            f"span_{unit}": travel.span,
+            f"low_{unit}": travel.low,
+            f"high_{unit}": travel.high,
+            "low_at_deg": math.degrees(travel.low_at),
+            "high_at_deg": math.degrees(travel.high_at),
+            "dead_centres_deg": [math.degrees(at) for at in travel.dead_centres],
+            "time_ratio": travel.time_ratio,
+            **stroke_records(travel, result.speed, result.acting),
         }
+        for name, travel in travels.items()
+    }
 
 
 def reaction_conventions(machine: Machine) -> dict[str, str]:
@@ -340,14 +335,10 @@ def analyze(
     if not machine.mechanism.returns or not analysis.valid:
         return analysis
     if not depends_on_sense(machine, analysis.low, analysis.high, analysis.speed):
-        return replace(analysis, extremes=analysis.extremes.both_ways(analysis.extremes.turned, POWER))
+        return replace(analysis, extremes=both_ways(analysis.extremes))
     back = _analysed(problem, points, step, -analysis.speed, sizes)
-    extremes = analysis.extremes.both_ways(back.extremes)
+    extremes = both_ways(analysis.extremes, back.extremes)
     return replace(analysis, extremes=extremes, notes=(*analysis.notes, _back_note(analysis, back)))
-
-
-POWER = ".power_W"
-"""Ending of the columns that differ on the way back through a range wherever they are not zero."""
 
 
 def _back_note(there: Analysis, back: Analysis) -> str:

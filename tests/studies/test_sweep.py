@@ -36,6 +36,7 @@ from optlink.presentation.chart_mpl import draw
 from optlink.presentation.views.sweep import charts
 from optlink.studies.grid import read_axis, read_grid
 from optlink.studies.optimum_parameters import FastOverride
+from optlink.studies.reoptimise_task import oriented
 from optlink.studies.sweeps import CHANGED, TableFile, sweep
 from optlink.units import in_si
 from optlink.validation import validate_batch as prove
@@ -1006,7 +1007,7 @@ def test_rows_of_a_symmetric_path_do_not_alternate_between_mirror_images(tmp_pat
     best, mirrored, *others = result.designs
     assert best.values["P.across"] == pytest.approx(-mirrored.values["P.across"], abs=1e-9)
     ends = [
-        replace(result, designs=designs).oriented.design for designs in ((best, mirrored, *others), (mirrored, best, *others))
+        oriented(replace(result, designs=designs)).design for designs in ((best, mirrored, *others), (mirrored, best, *others))
     ]
     assert ends[0] == ends[1]
     assert ends[0]["P.across"] > 0.0

@@ -97,7 +97,7 @@ def test_poses_and_a_law_are_met_together():
     result, own = solution("poses-and-law"), composed.poses_and_law().figures
     best = result.best
     assert result.valid
-    assert result.exact
+    assert result.best.exact
     assert not result.notes
     planted = composed.PLANTED
     for name, wanted in zip(("crank", "coupler", "rocker", "frame", "P.along", "P.across"), planted.values(), strict=True):

@@ -271,7 +271,7 @@ def test_a_result_measures_each_term_of_a_machine_once(monkeypatch):
     monkeypatch.setattr(Cycle, "_figure", counted)
     result = solve(machine("press"), starts=1)
     assert result.figures[0].result == pytest.approx(result.objective, rel=1e-9)
-    assert result.initial.objective == pytest.approx(result.figures[0].initial, rel=1e-12)
+    assert result.best.initial.objective == pytest.approx(result.figures[0].initial, rel=1e-12)
     assert len(measured) == len(set(measured))  # extremes of a machine are measured together
     assert len({design for design, _ in measured}) == 2  # of the initial machine and of the result
 

@@ -93,7 +93,7 @@ def before_after(result: Balance) -> list[ChartSpec]:
     The picture has the minimised and limited reactions only.
     """
     every = measured(result.original, result.section)
-    named = [goal.term for goal in result.goals] + [term for term, _ in result.section.limited]
+    named = [goal.term for goal in result.section.goals] + [term for term, _ in result.section.limited]
     common = [term for term in every if term.quantity in COLOURS]
     reactions = [term for term in every if term.quantity not in COLOURS]
     chosen = [reaction for reaction in reactions if any(_of_reaction(reaction, term, result) for term in named)]

@@ -101,7 +101,9 @@ def page(result: Sensitivities) -> ReportModel:
 
     problem, solution = result.problem, result.solution
     outcome: Any = validate(problem, {name: solution.design[name] for name in problem.model.free})
-    found = replace(outcome.with_best(status=Status.OPTIMAL, solution=solution), seconds={})
+    best = replace(outcome.best, status=Status.OPTIMAL, solution=solution)
+    kept: dict[str, Any] = {"designs": (best, *outcome.designs[1:])} if outcome.designs else {"nearest": best}
+    found = replace(outcome, seconds={}, **kept)
     return replace(report_model_of(found), effects=result)
 
 

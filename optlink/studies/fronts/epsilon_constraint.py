@@ -79,16 +79,16 @@ class Pareto(GridStudy):
         ],
         "front": lambda result: [
             {
-                "objectives": result.by_column(point.values),
+                "objectives": result._by_column(point.values),
                 "design": point.design,
                 "active": [name for name in point.active.split("; ") if name],
                 "mark": point.mark or None,
             }
             for point in result.points
         ],
-        "ends": lambda result: result.by_column(result.ends) if result.points else {},
+        "ends": lambda result: result._by_column(result.ends) if result.points else {},
         "knee": lambda result: result.knee and dict(zip(("point", "distance"), result.knee, strict=True)),
-        "reference": lambda result: result.reference and {"what": result.reference_label} | result.by_column(result.reference),
+        "reference": lambda result: result.reference and {"what": result.reference_label} | result._by_column(result.reference),
         "points": "solved",
         "infeasible_points": "infeasible",
         "dominated_points": "dominated",
@@ -130,7 +130,7 @@ class Pareto(GridStudy):
                 return f"No trade-off in this range: the {best} has {value_of_best}; give a range beyond it"
         return "No trade-off: one of the designs found is best in every objective"
 
-    def by_column(self, values: Sequence[T]) -> dict[str, T]:
+    def _by_column(self, values: Sequence[T]) -> dict[str, T]:
         """Return one value for each objective by the column of the objective."""
         return dict(zip([objective.column for objective in self.objectives], values, strict=True))
 

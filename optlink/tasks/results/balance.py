@@ -19,7 +19,7 @@ from optlink.errors import Status
 from optlink.linkage.vector2d import Array
 from optlink.problem.document import Column, Document, Never, Number, Source
 from optlink.problem.file import ProblemFile
-from optlink.problem.machine.balance import BalanceGoal, BalanceSection
+from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.terms import Term, read_words
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import machine_of
@@ -354,14 +354,9 @@ class Balance(Document):
         return self.problem.model.balance
 
     @property
-    def goals(self) -> tuple[BalanceGoal, ...]:
-        """The terms of the objective."""
-        return self.section.goals
-
-    @property
     def unit(self) -> str:
         """Unit of the objective."""
-        return unit_of(self.goals[0].term) if self.section.single else ""
+        return unit_of(self.section.goals[0].term) if self.section.single else ""
 
     @property
     def measure(self) -> str:

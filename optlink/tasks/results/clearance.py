@@ -194,7 +194,7 @@ class Tuning(Document):
     """
 
     kind = "tuning"
-    shown: ClassVar[Mapping[str, Source]] = {"other_starts?": "other_starts"}
+    shown: ClassVar[Mapping[str, Source]] = {"other_starts?": "_other_starts"}
 
     problem: ProblemFile
     best: dict[str, str | float]
@@ -212,7 +212,7 @@ class Tuning(Document):
     check: tuple[Trials, Trials] | None
 
     @property
-    def other_starts(self) -> dict[str, float] | None:
+    def _other_starts(self) -> dict[str, float] | None:
         """Means and scatters of `check` (SI): of the parameters of the problem, and of the best ones."""
         if self.check is None:
             return None

@@ -27,7 +27,7 @@ from optlink.problem.document import Column, Document, Number, Source, adapter, 
 from optlink.problem.file import ProblemFile, fixed_design, started
 from optlink.problem.targets.expression import Expression
 from optlink.problem.terms import BACK, Term
-from optlink.solvers.solution import SAME_OBJECTIVE, LimitState, Relaxation, Solution
+from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.certificate import Certificate, message
@@ -89,7 +89,7 @@ class LinkageDesign(Summary):
     shown: ClassVar[Mapping[str, Source]] = {
         **{name: name for name in ("valid", "status", "assembly")},
         "design": "displayed",
-        "objective": "stated_objective",
+        "objective": "_stated_objective",
         "fit": "fit",
         "least_transmission_deg": lambda design: math.degrees(design.least_transmission),
         "strokes": "strokes",
@@ -101,7 +101,7 @@ class LinkageDesign(Summary):
         **{f"{name}?": of_solution(name) for name in ("kkt", "violation", "curvature", "iterations")},
     }
 
-    alone: ClassVar[bool] = False  # whether it is one of `parts`
+    _alone: ClassVar[bool] = False  # whether it is one of `parts`
 
     problem: ProblemFile
     values: dict[str, Number]
@@ -128,7 +128,7 @@ class LinkageDesign(Summary):
         for task, angles in self.whole.of_parts(self.crank_angles):
             assert angles is not None
             part = replace(self, crank_angles=angles)
-            vars(part).update(task=task, alone=True)
+            vars(part).update(task=task, _alone=True)
             parts.append(part)
         return tuple(parts)
 
@@ -138,7 +138,7 @@ class LinkageDesign(Summary):
         return self.task.own(self.values)
 
     @cached_property
-    def own_angles(self) -> Array:
+    def _own_angles(self) -> Array:
         """The crank angles [rad] of its positions."""
         assert self.whole.parts
         return self.crank_angles[: len(self.task.data.columns)]
@@ -161,7 +161,7 @@ class LinkageDesign(Summary):
     @cached_property
     def measured(self) -> MeasuredDeviations:
         """Generated points and their deviations from the targets."""
-        return deviations(self.task, self.own, self.own_angles)
+        return deviations(self.task, self.own, self._own_angles)
 
     @cached_property
     def fit(self) -> Fit | None:
@@ -169,7 +169,7 @@ class LinkageDesign(Summary):
         graded = self.task.requirement.kind == "transmission"
         if self.whole.of_cycle and self.whole.single:
             graded = self.whole.goals[0].quantity in ("transmission angle", "pressure angle")
-        elif [goal.words for goal in self.whole.goals] == ["peak pressure angle"] and not self.alone:
+        elif [goal.words for goal in self.whole.goals] == ["peak pressure angle"] and not self._alone:
             graded = all(part.requirement.limited for part in self.whole.parts)
         if graded:
             quantities = self.task.mechanism.quantities
@@ -275,7 +275,7 @@ class LinkageDesign(Summary):
     @cached_property
     def between(self) -> Array | None:
         """Excursion [m] of the traced curve between each point and the next; None for other tasks than paths."""
-        return None if not self.whole.parts else excursions(self.task, self.own, self.own_angles)
+        return None if not self.whole.parts else excursions(self.task, self.own, self._own_angles)
 
     @property
     def follows_law(self) -> bool:
@@ -337,7 +337,7 @@ class LinkageDesign(Summary):
     @property
     def exact(self) -> bool:
         """Whether it satisfies all targets that are minimised within the rounding of their decimals, and nothing else is."""
-        if self.whole.composed and not self.alone:
+        if self.whole.composed and not self._alone:
             return not self.whole.goals and all(part.exact for part in self.parts if part.task.tolerance is None)
         return self.error <= self.level
 
@@ -346,16 +346,16 @@ class LinkageDesign(Summary):
         """The objective as a deviation [m, rad or 1]: the root of a sum of squares; what is maximised as its inverse."""
         if self.perfect:
             return 0.0
-        if self.whole.composed and not self.alone:
+        if self.whole.composed and not self._alone:
             return self.objective if self.objective >= 0.0 else -1.0 / self.objective
-        value = float(self.measured.objective) if self.alone else self.objective
+        value = float(self.measured.objective) if self._alone else self.objective
         return math.sqrt(max(value, 0.0)) if self.task.measure == "sum of squares" else value
 
     @property
     def perfect(self) -> bool:
         """Whether a pressure angle is all that is minimised, and zero but for rounding, as that of every swinging guide."""
         task = self.whole
-        minimised = task.single and task.goals[0].quantity == "pressure angle" and not self.alone
+        minimised = task.single and task.goals[0].quantity == "pressure angle" and not self._alone
         return minimised and abs(self.objective) <= NO_ANGLE and all(part.tolerance is not None for part in task.parts)
 
     @property
@@ -363,14 +363,6 @@ class LinkageDesign(Summary):
         """Largest error of an exact design [m, rad or 1]."""
         count = len(self.task.data.columns) if self.task.measure == "sum of squares" else 1
         return ROUNDED * math.sqrt(count) * self.task.whole
-
-    def unwrapped(self, name: str) -> float:
-        """Return a quantity [SI]: of an angle free over a full turn, 180 deg instead of -180 deg."""
-        value, quantity = self.values[name], self.whole.quantities.get(name)
-        if quantity is None or not quantity.free or not self.whole.is_periodic(name):
-            return value
-        turned = value + math.pi <= NO_ANGLE and quantity.bounds[1] >= math.pi - NO_ANGLE
-        return min(value + TURN, quantity.bounds[1]) if turned else value
 
     def alike(self, other: LinkageDesign) -> bool:
         """Return whether two designs are practically the same."""
@@ -496,7 +488,7 @@ class LinkageDesign(Summary):
         return points
 
     @property
-    def stated_objective(self) -> dict[str, Any]:
+    def _stated_objective(self) -> dict[str, Any]:
         """Objective [SI], the deviations in the unit that ends the key, and what tolerances add."""
         if not self.whole.parts:
             return {"value": self.objective, "unit": self.whole.objective_unit}
@@ -540,6 +532,12 @@ def _cognate_document(cognate: Cognate) -> dict[str, Any]:
     }
 
 
+def _optimum_document(result: SynthesisResult, optimum: Optimum) -> dict[str, Any]:
+    """Return an optimum as part of the document, its design in display units."""
+    parts = {key: value for key, value in vars(optimum).items() if value != ""}
+    return parts | {"design": result.definite.model.displayed(optimum.design)}
+
+
 def of_best(name: str) -> Source:
     """Return the source of an entry of the best design, None without one."""
     return lambda result: None if result.best is None else attrgetter(name)(result.best)
@@ -558,16 +556,18 @@ class SynthesisResult(Document):
         **{key: source for key, source in SEARCHED.items() if key != "notes"},
         "starts_that_reached_the_best": "hits",
         **{f"{key}?": of_best(key) for key in ("assembly", "strokes", "fit")},
-        "initial?": lambda result: result.initial and {"objective": result.initial.objective, "feasible": result.initial.valid},
+        "initial?": lambda result: (
+            result.best and (given := result.best.initial) and {"objective": given.objective, "feasible": given.valid}
+        ),
         "figures?": lambda result: result.figures or None,
         "design?": of_best("displayed"),
-        "objective?": of_best("stated_objective"),
+        "objective?": of_best("_stated_objective"),
         "limits": lambda result: result.best.displayed_limits if result.best else (),
         "validation": "validation.checks",
         "designs": "designs",
         "first_step?": lambda result: result.first_step and vars(result.first_step) | {"gap": result.first_step.gap},
         **FOUND,
-        "optima?": lambda result: [result.shown_optimum(optimum) for optimum in result.optima] or None,
+        "optima?": lambda result: [_optimum_document(result, optimum) for optimum in result.optima] or None,
         "exact_solutions?": lambda result: (
             result.exact_solutions and document(result.exact_solutions, result.definite.model.displayed)
         ),
@@ -638,19 +638,9 @@ class SynthesisResult(Document):
         return self.designs[0] if self.designs else self.nearest
 
     @property
-    def exact(self) -> bool:
-        """Whether no design can be better, because the best one meets all targets."""
-        return any(design.exact for design in self.designs[:1])
-
-    @property
     def machine(self) -> ProblemFile | None:
         """The best linkage with all dimensions fixed; its crank starts and turns as the requirement needs; or None."""
         return None if self.best is None else self.best.machine
-
-    @property
-    def strokes(self) -> dict[str, Any] | None:
-        """Strokes of every output of the best design, as JSON; empty if the crank does not turn fully, None without a design."""
-        return None if self.best is None else self.best.strokes
 
     @property
     def fit(self) -> Fit | None:
@@ -661,11 +651,6 @@ class SynthesisResult(Document):
     def figures(self) -> tuple[TermFigure, ...]:
         """Quantities of the machine of the best design in objective and limits; see `LinkageDesign.figures`."""
         return () if self.best is None else self.best.figures
-
-    @property
-    def initial(self) -> Validation | None:
-        """Checks and objective of the initial design of the file; None beside targets."""
-        return None if self.best is None else self.best.initial
 
     @property
     def assembly(self) -> Any:
@@ -705,11 +690,6 @@ class SynthesisResult(Document):
         model = self.definite.model
         return model.displayed(model.design({name: design[name] for name in model.free}))
 
-    def shown_optimum(self, optimum: Optimum) -> dict[str, Any]:
-        """Return an optimum as part of the document, its design in display units."""
-        parts = {key: value for key, value in vars(optimum).items() if value != ""}
-        return parts | {"design": self.definite.model.displayed(optimum.design)}
-
     @property
     def solution(self) -> Solution | None:
         """Solver solution of the best design."""
@@ -736,31 +716,6 @@ class SynthesisResult(Document):
     def objective(self) -> float:
         """Objective of the best design [SI]; NaN if there is none."""
         return math.nan if self.best is None else self.best.objective
-
-    @property
-    def oriented(self) -> Self:
-        """The result with the same one of several equally good designs first, whichever of them a search finds first.
-
-        These are mirror images for a symmetric path, for example. The one with the largest first design variable in which they
-        differ is chosen, so that results of neighbouring problems belong together. An angle of -180 deg is 180 deg.
-        """
-        if not self.designs:
-            return self
-        first = self.designs[0]
-        equal = [d for d in self.designs if d.error <= first.error * (1.0 + SAME_OBJECTIVE) or (d.exact and first.exact)]
-        equal = [d for d in equal if str(d.assembly) == min(str(other.assembly) for other in equal)]
-        for name in first.whole.free:
-            most = max(design.unwrapped(name) for design in equal)
-            within = DISTINCT * max(first.task.size if first.whole.quantities[name].in_metres else 1.0, abs(most))
-            equal = [design for design in equal if design.unwrapped(name) >= most - within]
-        chosen = replace(equal[0], values={name: equal[0].unwrapped(name) for name in equal[0].values})
-        return replace(self, designs=(chosen, *(design for design in self.designs if design is not equal[0])))
-
-    def with_best(self, **changes: Any) -> Self:
-        """Return the result with other fields of its best design."""
-        if not self.designs:
-            return self if self.nearest is None else replace(self, nearest=replace(self.nearest, **changes))
-        return replace(self, designs=(replace(self.designs[0], **changes), *self.designs[1:]))
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
         """Return the result with further checks of its designs, in order; designs that fail one are no longer valid."""

@@ -22,6 +22,8 @@ from optlink.linkage.vector2d import Array
 
 CHANGE_POINT_WIDTH = 1e-5  # rad from a passed change point: reactions are inaccurate there
 WORK = "input.work_J"
+POWER = ".power_W"
+"""Ending of the columns that differ on the way back through a range wherever they are not zero."""
 SAME = 1e-9  # of the larger force on the way back, by which that on the way there may differ from rounding
 
 
@@ -116,27 +118,6 @@ class Extremes(Mapping[str, Extreme]):
         if WORK in missing:
             self._found[WORK] = self._of_work()
         return {name: self._found[name] for name in wanted}
-
-    @property
-    def turned(self) -> Extremes:
-        """The extremes of the motion in the opposite sense, of a machine with the same forces there."""
-        made = copy.copy(self)
-        made._speed, made._found = -self._speed, {}
-        made.__dict__.pop("_sampled", None)
-        return made
-
-    def both_ways(self, back: Extremes, ending: str = "") -> Extremes:
-        """Return the extremes of both ways through a range, of forces and powers in columns with an ending; others are the same.
-
-        Parameters
-        ----------
-        back : Extremes
-            Of the way back.
-        ending : str
-        """
-        made = copy.copy(self)
-        made._found, made._back = {}, (back, ending)
-        return made
 
     def on_way_back(self, name: str) -> tuple[bool, bool]:
         """Return whether the least and the largest value of a column occur on the way back through a range.
@@ -257,3 +238,17 @@ class Extremes(Mapping[str, Extreme]):
             for k in (i, j)
         )
         return Extreme(float(amounts[i]), at_least, float(amounts[j]), at_largest)
+
+
+def both_ways(there: Extremes, back: Extremes | None = None) -> Extremes:
+    """Return the extremes of both ways through a range.
+
+    Without those of the way `back` its forces are the same, and only powers differ.
+    """
+    made, ending = copy.copy(there), POWER if back is None else ""
+    if back is None:
+        back = copy.copy(there)
+        back._speed, back._found = -there._speed, {}
+        back.__dict__.pop("_sampled", None)
+    made._found, made._back = {}, (back, ending)
+    return made
