@@ -128,7 +128,7 @@ def sensitivities_of(model: ReportModel) -> Sensitivities | None:
     best = getattr(model.result, "best", None)
     if best is None or best.solution is None or best.solution.status is not Status.OPTIMAL:
         return None
-    if best.exact:
+    if getattr(best, "exact", False):  # a result of an extension has no such member
         return None
     result = of_solution(best.problem, best.solution)
     return result if result.moving else None
