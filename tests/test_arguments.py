@@ -253,7 +253,7 @@ def test_an_unknown_part_of_a_motion_is_named(method) -> None:
         (lambda: optlink.solve(LAW, workers=-1), "^workers = -1: out of range"),
         (lambda: optlink.solve(LAW, gap=float("nan")), "gap = nan: out of range"),
         (lambda: optlink.solve(LAW, certify=1), "certify = 1: neither True nor False"),
-        (lambda: optlink.validate(LAW, {"coupler": "0.4", "rocker": 0.2}), 'design.coupler = "0.4": not a number'),
+        (lambda: optlink.validate(LAW, {"coupler": "0.4", "rocker": 0.2}), 'design.coupler = "0.4": a length needs a unit'),
         (lambda: optlink.validate(LAW, {3: 0.4}), "design.3 = 3: not a text"),
         (lambda: optlink.analyze(MACHINE, speed="64 rpm"), 'speed = "64 rpm": not a number'),
         (lambda: optlink.analyze_batch(MACHINE, {"crank.length": "x"}), "not an array of numbers"),
