@@ -152,22 +152,27 @@ class FourTargets(FiveTargets):
         value, limit = self._transmission(every), task.limits.transmission_angle
         least = 0.0 if limit is None else min(limit.low or 0.0, math.pi - (limit.high or math.pi))
         measure = np.where(inside & (value > 0.0) & (value >= least), value, -math.inf)
-        if self.goals:
-            measure = self._measured(np.isfinite(measure), drivers, rows)
-        wide = max(1, round(APART * len(rows)))
-        places = np.searchsorted(rows, drivers)
-        for _ in range(TRIED):
-            i, k = np.unravel_index(int(np.argmax(measure)), measure.shape)
-            if measure[i, k] == -math.inf:
-                return
-            yield int(drivers[i]), int(rows[k])
-            near = np.abs(places - places[i])[:, None] <= wide
-            measure[near & (np.abs(np.arange(len(rows)) - k)[None, :] <= wide)] = -math.inf
+        wide, places = max(1, round(APART * len(rows))), np.searchsorted(rows, drivers)
 
-    def _measured(self, passing: NDArray[np.bool_], drivers: Array, followers: Array) -> Array:
+        def varied(measure: Array, most: int) -> Iterator[tuple[int, int]]:
+            measure = measure.copy()
+            for _ in range(most):
+                i, k = map(int, np.unravel_index(int(np.argmax(measure)), measure.shape))
+                if measure[i, k] == -math.inf:
+                    return
+                yield i, k
+                near = np.abs(places - places[i])[:, None] <= wide
+                measure[near & (np.abs(np.arange(len(rows)) - k)[None, :] <= wide)] = -math.inf
+
+        if self.goals:
+            measure = self._measured(np.isfinite(measure), [*varied(measure, DESIGNS)], drivers, rows)
+        yield from ((int(drivers[i]), int(rows[k])) for i, k in varied(measure, TRIED))
+
+    def _measured(self, passing: NDArray[np.bool_], first: Sequence[tuple[int, int]], drivers: Array, followers: Array) -> Array:
         """Return how good pairs are by the quantity that ranks them, -inf of those that are not measured.
 
-        Lengths are known of all `passing` ones; else a grid of them is measured, and the ways from its best to better neighbours.
+        Lengths are known of all `passing` ones; else the `first` and a grid of them are measured, and the ways from the best to
+        better neighbours.
         """
         lengths, ranked = self._lengths(drivers, followers), self._ranked
         if ranked is not None and (known := lengths.get(ranked.of or ranked.quantity)) is not None:
@@ -183,7 +188,7 @@ class FourTargets(FiveTargets):
             return float(good[i, k])
 
         places = np.argwhere(passing)
-        for i, k in places[:: max(1, len(places) // MEASURED)]:
+        for i, k in (*first, *places[:: max(1, len(places) // MEASURED)]):
             measured(i, k)
         shape: Array = np.array(good.shape)
         for start in np.argsort(good, axis=None)[::-1][:CLIMBED]:
