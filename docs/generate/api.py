@@ -109,8 +109,13 @@ def _section(item: Any, level: str, owner: str, without: Collection[str] = ()) -
     if not item.is_module and not _is_enum(item):
         yield f"```python\n{_signature(item, owner)}\n```"
     yield from _told(item)
+    if _is_enum(item):
+        yield f"Values: {', '.join(str(one.value) for one in item.members.values() if one.is_attribute and one.value)}".replace(
+            "'", '"'
+        )
     shown = [one for name, one in item.members.items() if not (one.is_alias or name.startswith("_")) and _meaning(one)]
-    shown = [one for one in shown if one.name not in ("to_dict", *without)]
+    hidden = without if item.name == "Result" else ("to_dict", *without)
+    shown = [one for one in shown if one.name not in hidden]
     plain = [one for one in shown if one.is_attribute]
     if plain:
         rows = [f"| `{one.name}` | {cell(code(one.annotation))} | {cell(_meaning(one))} |" for one in plain]
@@ -152,7 +157,7 @@ def _signature(item: Any, owner: str) -> str:
             continue
         mark = {"variadic positional": "*", "variadic keyword": "**"}.get(kind, "")
         typed = f": {_type(one.annotation)}" if one.annotation is not None else ""
-        default = FACTORY.sub(r"\1", str(one.default))
+        default = _default(one.default)
         default = (f" = {default}" if typed else f"={default}") if one.default is not None and not mark else ""
         parts.append(f"{mark}{one.name}{typed}{default}")
     head = ("class " if item.is_class else "") + owner + item.name
@@ -180,13 +185,30 @@ def _entry(one: Any) -> str:
     name = getattr(one, "name", "")
     default = getattr(one, "default", None)
     stated = default not in (None, "None") and not name.startswith("**")
-    typed = f" ({code(one.annotation)}{f', default {code(default)}' if stated else ''})" if one.annotation is not None else ""
+    typed = (
+        f" ({code(one.annotation)}{f', default {code(_default(default))}' if stated else ''})"
+        if one.annotation is not None
+        else ""
+    )
     if not name:
         name, typed = str(one.annotation), ""
     told = " ".join(one.description.split())
     if one.annotation is not None and _letters(told.replace(" of ", " ")) == _letters(_type(one.annotation)):
         told = ""  # the type again
     return f"- `{name}`{typed}: {told}".removesuffix(": ")
+
+
+def _default(default: Any) -> str:
+    """A default as the program has it, a constant by its value."""
+    if isinstance(default, griffe.ExprName) and default.name.isupper():
+        for path in (default.canonical_path, f"{getattr(default.parent, 'path', '')}.{default.name}"):
+            try:
+                value = str(_found(package()[path.removeprefix("optlink.")]).value)
+            except (KeyError, AttributeError, griffe.AliasResolutionError):
+                continue
+            if "(" not in value:
+                return value
+    return FACTORY.sub(r"\1", str(default))
 
 
 def _letters(text: str) -> str:

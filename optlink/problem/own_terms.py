@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from optlink.errors import InputError, OptlinkError
+from optlink.errors import InputError, OptlinkError, nearest
 from optlink.io import register
 from optlink.linkage.vector2d import Value
 from optlink.problem.arguments import typed
@@ -146,6 +146,10 @@ def _value(formula: Formula, *arguments: Any) -> Value:
         text = str(error).partition("\n")[0].rstrip(".")
         message = f"this function cannot be evaluated{''.join(lines)}: {type(error).__name__}: {text}"
         remedy = "Return one number, computed by operators and functions of numpy from the motion and the reactions, without if"
+        if isinstance(error, KeyError):
+            moving = arguments[0]
+            names = [*moving.machine.mechanism.bodies, *moving.pose.points, *moving.slides]
+            message, remedy = message.replace("KeyError:", "the machine has no"), nearest(str(error.args[0]), names)
         raise InputError(message, remedy, key=formula.__name__) from error
 
 

@@ -19,7 +19,8 @@ from optlink.problem.quantity import Quantity, Unusable, below, check_keys, chec
 from optlink.problem.targets.target_points import enclosed, read_columns, split_enclosed
 from optlink.units import parse, plain
 
-NORMAL, CONTACT, MEASURED = "normal", "contact", "measured"
+NORMAL = "normal"
+CONTACT, MEASURED = "contact", "measured"
 SIGMAS = 3.0  # standard deviations of a normal distribution within its tolerance
 CLEARANCE = ".clearance"
 LARGEST = 0.5  # largest tolerance as a share of its length

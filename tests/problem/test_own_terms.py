@@ -89,12 +89,17 @@ def several(machine):
     return machine.slides["F"]
 
 
+def misspelt(machine):
+    return machine.state("rokcer").angular_rate
+
+
 @pytest.mark.parametrize(
     ("function", "words"),
     [
         (lacking, r"lacking: .* in line \d+: AttributeError: .* 'nothing'"),
         (choosing, r"choosing: .* in line \d+: RuntimeError: .*truth value.* without if"),
         (several, r"several: .*: TypeError: .* 'tuple'\. Return one number"),
+        (misspelt, r"misspelt: .* in line \d+: the machine has no 'rokcer'\. Did you mean \"rocker\""),
     ],
 )
 def test_a_function_that_fails_is_named_with_its_line(function, words):

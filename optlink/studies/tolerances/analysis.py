@@ -34,7 +34,8 @@ from optlink.tasks.machine import check_design
 from optlink.units import DISPLAYED, UnitProblem, parse, read_number
 
 WORST, MARGIN = "worst", "margin"
-SAMPLES, MAX_SAMPLES = 1 << 17, 100_000_000
+SAMPLES = 1 << 17
+MAX_SAMPLES = 100_000_000
 PARALLEL_SAMPLES = 4 * CHUNK
 """Samples from which several processes are started: a process takes about as long to start as to move one chunk."""
 
