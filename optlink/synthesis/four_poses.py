@@ -29,6 +29,12 @@ DEFECTS = ("", "circuit", "branch", "order", "no four-bar")
 """What keeps a four-bar from passing the poses, by number."""
 
 ANY = "a given {} lies at a pole, about which the body turns from one pose to another: infinitely many dyads have it"
+AT_POLE = "a given {} lies at the pole of poses {} and {}, so that its dyads have a line of other ends"
+NEAR_POLE = (
+    "a given {} lies near the pole of poses {} and {}: errors of the poses move the other end of its dyad {:.1g} times as far"
+)
+AT = 1e-9  # distance from a pole, in units of the displacement, that is rounding
+NEAR = 1e-3  # one below which the dyad depends on the last digits of the poses
 WIDEST = 1.4  # rad; largest direction of points along the line of two poses
 REPEATED = "poses {} and {} are the same: three poses have a dyad for each point of the body"
 
@@ -41,7 +47,7 @@ class DyadCurves:
     at constant distance from them (centre-point curve); NaN between closed curves, and where one of both lies at infinity.
     `homogeneous`: the same without a gap at infinity, (n, 3) each, of unit length, with the unit `size` [m] about `places[0]`.
     `poles` (k, 2) [m]: where the body turns from one pose to another. `special`: a sentence about poses that have no such
-    curves. `places` x + iy [m] and `angles` [rad] are the poses.
+    curves, `note` about such as nearly have none. `places` x + iy [m] and `angles` [rad] are the poses.
     """
 
     places: Complex
@@ -50,6 +56,7 @@ class DyadCurves:
     homogeneous: tuple[Array, Array] = (np.empty((0, 3)), np.empty((0, 3)))
     poles: Array = field(default_factory=lambda: np.empty((0, 2)))
     special: str = ""
+    note: str = ""
 
     @cached_property
     def dyads(self) -> tuple[Complex, Complex]:
@@ -134,6 +141,8 @@ def curves(places: Sequence[complex] | Complex, angles: Sequence[float] | Array,
 def dyads_of_joint(places: Complex, angles: Array, joint: complex, *, fixed: bool, samples: int = SAMPLES) -> DyadCurves:
     """Return the dyad of three poses, or those of two along a line, with a given joint at the first pose.
 
+    At the pole of two of three poses the joint has one place in the other frame at both: these count once.
+
     Parameters
     ----------
     joint : complex [m]
@@ -144,12 +153,21 @@ def dyads_of_joint(places: Complex, angles: Array, joint: complex, *, fixed: boo
     given = np.array([z.real, z.imag, 1.0])
     q = equations((places - places[0]) / size, angles)[0]
     rows = q @ given if fixed else given @ q
-    found = np.cross(rows[0], rows[1])[None, :] if len(rows) > 1 else _along(rows[0], samples)
+    turns = np.exp(1j * (angles - angles[0]))
+    seen = (joint - places) / turns if fixed else places + turns * (joint - places[0])
+    apart, i, j = min((abs(seen[i] - seen[j]) / size, i, j) for i, j in itertools.combinations(range(len(places)), 2))
+    name, note = "pivot" if fixed else "point", ""
+    if len(rows) > 1 and apart > AT:
+        found = np.cross(rows[0], rows[1])[None, :]
+        note = NEAR_POLE.format(name, i + 1, j + 1, 1.0 / apart) if apart < NEAR else ""
+    else:
+        found = _along(rows[int(np.argmax(np.linalg.norm(rows, axis=1)))], samples)
+        note = AT_POLE.format(name, i + 1, j + 1) if len(rows) > 1 else ""
     lengths = np.linalg.norm(found, axis=1)[:, None]
     if not np.all(lengths > SPECIAL):
-        return DyadCurves(places, angles, size, special=ANY.format("pivot" if fixed else "point"))
+        return DyadCurves(places, angles, size, special=ANY.format(name))
     found, given = found / lengths, np.repeat(given[None, :] / np.linalg.norm(given), len(found), axis=0)
-    return DyadCurves(places, angles, size, (found, given) if fixed else (given, found))
+    return DyadCurves(places, angles, size, (found, given) if fixed else (given, found), note=note)
 
 
 def _along(row: Array, samples: int) -> Array:

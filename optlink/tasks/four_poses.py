@@ -93,6 +93,12 @@ def _sides(task: DesignProblem) -> tuple[DyadCurves, DyadCurves] | None:
     return crank, rocker
 
 
+def _spread(side: DyadCurves) -> NDArray[Any]:
+    """Return rows of finite dyads, evenly over their curves, at most `MOST`."""
+    finite = np.flatnonzero(~np.isnan(side.points[:, 0]))
+    return finite[np.unique(np.linspace(0, len(finite) - 1, MOST).astype(int))] if len(finite) else finite
+
+
 class FourTargets(FiveTargets):
     """The best four-bars of two dyads of four poses, or of two or three ones with given joints; see `applies`, `joints_given`.
 
@@ -115,12 +121,13 @@ class FourTargets(FiveTargets):
             if not 0 <= row < len(points) or np.isnan(points[row]):
                 message = found.special or "no dyad of finite lengths"
                 raise InputError(message, "Give a row of `dyad_curves`", self.files[0].file, "driver, follower", row)
-        if len(points) == 1:  # three poses: their only four-bar
+        note = "; ".join(dict.fromkeys(filter(None, (found.note, self.followers.note))))
+        if len(points) == len(self.followers.points) == 1:  # three poses: their only four-bar
             finite = [not np.isnan(side.dyads[0][0]) for side in (found, self.followers)]
-            counts = ExactSolutions(KINDS_OF[3], 2, 2, 0, 2 - sum(finite), self.sentence, False, (), roots=2, counted="dyads")
+            counts = ExactSolutions(KINDS_OF[3], 2, 2, 0, 2 - sum(finite), "", False, (), roots=2, counted="dyads", note=note)
             return counts, [self._four_bar(0, 0)] if all(finite) else []
         rows = [self.chosen] if self.chosen else [] if self.sentence else list(self._best())
-        counts = ExactSolutions(KINDS_OF[len(found.places)], 0, 0, 0, 0, self.sentence, False, ())
+        counts = ExactSolutions(KINDS_OF[len(found.places)], 0, 0, 0, 0, self.sentence, False, (), note=note)
         return counts, [self._four_bar(i, k) for i, k in rows]
 
     def _four_bar(self, driver: int, follower: int) -> FourBarSolution:
@@ -132,9 +139,9 @@ class FourTargets(FiveTargets):
     def _best(self) -> Iterator[tuple[int, int]]:
         """Yield driver and follower of varied pairs, the best one first, and compose the sentence."""
         found, task = self.curves, self.task
-        finite = np.flatnonzero(~np.isnan(found.points[:, 0]))
-        rows = finite[np.unique(np.linspace(0, len(finite) - 1, MOST).astype(int))]
-        drivers = rows[found.in_order[rows]]
+        cranks, rows = _spread(found), _spread(self.followers)
+        drivers = cranks[found.in_order[cranks]]
+        driving = len(drivers) / max(1, len(cranks))
         b, a, e, c = self._joints(drivers, rows)
         every = pairs(found.places, found.angles, (b, a), (e, c))
         turning = every.turns | (task.limits.crank == "span")
@@ -146,13 +153,14 @@ class FourTargets(FiveTargets):
         shares["crank does not turn"] = np.mean((every.defect == 0) & ~turning)
         reasons = ", ".join(f"{name} {share:z.0%}" for name, share in shares.items() if share >= 0.005)
         self.sentence = (
-            f"{curve} of dyads, of which {len(drivers) / len(rows):z.0%} may drive; {np.mean(passing):z.1%} of {count} four-bars "
+            f"{curve} of dyads, of which {driving:z.0%} may drive; {np.mean(passing):z.1%} of {count} four-bars "
             f"pass the poses in order (not: {reasons}), {np.mean(inside):z.1%} within the bounds"
         )
         value, limit = self._transmission(every), task.limits.transmission_angle
         least = 0.0 if limit is None else min(limit.low or 0.0, math.pi - (limit.high or math.pi))
         measure = np.where(inside & (value > 0.0) & (value >= least), value, -math.inf)
-        wide, places = max(1, round(APART * len(rows))), np.searchsorted(rows, drivers)
+        near_crank, near_rocker = (max(1, round(APART * len(side))) for side in (cranks, rows))
+        places = np.searchsorted(cranks, drivers)
 
         def varied(measure: Array, most: int) -> Iterator[tuple[int, int]]:
             measure = measure.copy()
@@ -161,8 +169,8 @@ class FourTargets(FiveTargets):
                 if measure[i, k] == -math.inf:
                     return
                 yield i, k
-                near = np.abs(places - places[i])[:, None] <= wide
-                measure[near & (np.abs(np.arange(len(rows)) - k)[None, :] <= wide)] = -math.inf
+                near = np.abs(places - places[i])[:, None] <= near_crank
+                measure[near & (np.abs(np.arange(len(rows)) - k)[None, :] <= near_rocker)] = -math.inf
 
         if self.goals:
             measure = self._measured(np.isfinite(measure), [*varied(measure, DESIGNS)], drivers, rows)

@@ -74,9 +74,10 @@ def test_any_quantity_ranks_the_pairs(monkeypatch):
     assert fast.solutions[0].figure <= min(one.figure for one in fast.solutions if one.usable)
 
 
-def posed(count, seed):
+def posed(count, seed, turned=None):
     """A crank-rocker with its sizes by name, and poses of its coupler at some crank angles."""
     sizes, phi, *_ = cranked(np.random.default_rng(seed))
+    phi = phi if turned is None else np.array(turned)
     names = {
         **dict(zip(("crank", "coupler", "rocker"), sizes, strict=True)),
         **{"frame": 1.0, "P.along": 0.4, "P.across": 0.3, "A.x": 0.2, "A.y": -0.1, "direction": 0.3},
@@ -141,10 +142,37 @@ def test_two_poses_with_given_joints_have_the_best_of_two_lines():
     assert np.abs(carried[1] - pivots) == pytest.approx(np.abs(carried[0] - pivots), rel=1e-9)
 
 
-def test_given_joints_that_leave_a_dyad_free_are_told():
+@pytest.mark.parametrize("fixed", [True, False])
+def test_given_joints_that_leave_a_dyad_free_are_told(fixed):
+    """About the origin the body turns from one pose to the next, so that a third one alone determines its dyads."""
     turn = np.exp(0.8j)
     places, angles = np.array([1.0 + 0.0j, turn, 0.3 + 1.0j]), np.array([0.0, 0.8, 1.1])
-    assert "at a pole" in dyads_of_joint(places, angles, 0j, fixed=True).special
+    assert "at a pole" in dyads_of_joint(places[:2], angles[:2], 0j, fixed=fixed).special
+    for way in (slice(None), slice(None, None, -1), [0, 2, 1]):  # the two poses first, last, and apart
+        joint = 0j if fixed else places[way][0] + np.exp(1j * (angles[way][0] - angles[0])) * (0.0 - places[0])
+        side = dyads_of_joint(places[way], angles[way], complex(joint), fixed=fixed)
+        assert "lies at the pole of poses" in side.note
+        points, pivots = side.dyads
+        carried = [
+            z + np.exp(1j * (a - angles[way][0])) * (points - places[way][0])
+            for z, a in zip(places[way], angles[way], strict=True)
+        ]
+        assert len(points) > 100
+        assert np.abs(carried - pivots) == pytest.approx(np.abs([points - pivots] * 3), rel=1e-9)
+        near = dyads_of_joint(places[way], angles[way], complex(joint) + 1e-5, fixed=fixed)
+        assert len(near.points) == 1
+        assert "lies near the pole of poses" in near.note
+
+
+def test_a_given_pivot_at_a_pole_leaves_a_choice_of_four_bars():
+    """Two positions of a crank that are mirrored by the line of its pivots turn the coupler about the pivot of the rocker."""
+    file, names, pivots, _ = posed(3, 0, [0.3, 2.0, 4.283185307179586])
+    result = optlink.synthesis.exact(file.override(pivots))
+    assert "at the pole of poses 2 and 3" in result.exact_solutions.sentence
+    assert result.valid
+    assert all(design.exact for design in result.designs)
+    assert optlink.solve(file.override(pivots)).best.exact
+    assert names["crank"] == pytest.approx(result.design["crank"])
 
 
 def test_a_chain_of_dyads_has_the_same_four_bars(best):

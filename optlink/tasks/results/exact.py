@@ -45,10 +45,10 @@ class ExactSolution:
 class ExactSolutions:
     """All linkages that meet the targets, usable ones first, ranked by a quantity (`ranked_by`, with its `unit`), the best first.
 
-    `real`, `certified`, `complex`: numbers of roots of the equations, of which there are `roots`; `sliders`: those that are no
-    links of finite length; `special`: a sentence about targets with infinitely many solutions, of which the best ones are listed,
-    or none; `either`: whether each linkage is listed twice, driven at either link; `linkage`: what they are, "four-bar" or
-    "slider-crank"; `counted`: what the roots are.
+    `real`, `certified`, `complex`: numbers of roots of the equations, of which there are `roots`; `sliders`: those that are
+    no links of finite length; `special`: a sentence about targets with infinitely many solutions, of which the best ones are
+    listed, or none; `note`: a sentence about nearly special ones; `either`: whether each linkage is listed twice, driven at
+    either link; `linkage`: what they are, "four-bar" or "slider-crank"; `counted`: what the roots are.
     """
 
     task: str
@@ -64,6 +64,7 @@ class ExactSolutions:
     counted: str = "roots"
     ranked_by: str = BY_TRANSMISSION
     unit: str = "deg"
+    note: str = ""
 
     @property
     def usable(self) -> int:
@@ -78,8 +79,9 @@ class ExactSolutions:
     @property
     def sentence(self) -> str:
         """How many solutions there are, and how many of them are usable."""
+        note = f"; {self.note}" * bool(self.note)
         if self.special:
-            return f"{self.task}: {self.special}"
+            return f"{self.task}: {self.special}{note}"
         proof = "certified" if self.certified == self.real else f"{self.certified} of them certified"
         all_of_them = f"{self.roots} {self.counted}"
         roots = f"{self.real} of {all_of_them} are real ({proof})" if self.real else f"none of the {all_of_them} is real"
@@ -89,7 +91,7 @@ class ExactSolutions:
         found = f"{count} {self.linkage}{'s' * (count != 1)}, {self.usable} usable" if count else f"no {self.linkage}"
         if self.either and count:
             found = f"{count // 2} four-bar{'s' * (count > 2)}, {count} with either link as the crank, {self.usable} usable"
-        return f"{self.task}: {roots}{missing}{sliders}; {found}{self._others}"
+        return f"{self.task}: {roots}{missing}{sliders}; {found}{self._others}{note}"
 
     @property
     def reasons(self) -> dict[str, int]:
@@ -115,7 +117,7 @@ def _cause(reason: str) -> str:
 
 def document(found: ExactSolutions, displayed: Callable[[Mapping[str, float]], Mapping[str, float]]) -> dict[str, Any]:
     """Return the solutions as part of a JSON document, their dimensions `displayed` in units."""
-    counts = ("roots", "real", "certified", "complex", "sliders", "complete", "special", "usable", "reasons")
+    counts = ("roots", "real", "certified", "complex", "sliders", "complete", "special", "note", "usable", "reasons")
     shown = ("task", "linkage", *counts, "ranked_by", "unit")
     solutions = [
         {name: getattr(one, name) for name in ("usable", "reasons", "certified", "assembly", "figure")}
