@@ -241,7 +241,8 @@ class MotionColumns:
             yield "input.torque_Nm", f"torque of the drive on {mechanism.crank.body}", _constant(torque)
             for part in ("inertia", "gravity", "load"):
                 yield f"input.torque_{part}_Nm", f"what of the driving torque goes into {part}", _part(parts, part)
-        yield "input.power_W", "power of the drive", lambda: torque * moving.motion.speed
+        speed = moving.motion.speed  # at rest a drive along a line has no torque about its cycle, 0/0
+        yield "input.power_W", "power of the drive", lambda: np.where(np.asarray(speed) == 0.0, 0.0, torque * speed)
         for k, axis in enumerate("xy"):
             what = f"shaking force on the frame in {axis}: minus the rate of momentum"
             yield f"frame.shaking_f{axis}_N", what, _part(lambda: shaken().force, k)

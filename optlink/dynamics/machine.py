@@ -728,13 +728,23 @@ class EndStops(Load):
         """Return speed and acceleration of the crank, with which the force jumps."""
         return moving.motion.speed, moving.motion.crank_acceleration
 
+    def force(self, angle: Value, low_share: Value = 1.0, high_share: Value = 1.0) -> Any:
+        """Return the torque [N m] or force [N] at crank angles, of which each stop gives a share: all of it going in.
+
+        Parameters
+        ----------
+        angle : Value [rad]
+        low_share, high_share : Value
+        """
+        low, high = np.maximum(self.low - angle, 0.0), np.maximum(angle - self.high, 0.0)
+        return self.stiffness * self.lever * (low * low_share - high * high_share)
+
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Yield the torque on the crank, or the force on slider, or on rod and barrel of a cylinder."""
         angle, mechanism = moving.motion.crank_angle, moving.machine.mechanism
         back, rising = self.restitution**2, 0.5 * (1.0 + moving.direction)
-        low, high = np.maximum(self.low - angle, 0.0), np.maximum(angle - self.high, 0.0)
-        outside = low * (1.0 - (1.0 - back) * rising) - high * (back + (1.0 - back) * rising)
-        effort, body = self.stiffness * self.lever * outside, mechanism.crank.body
+        effort = self.force(angle, 1.0 - (1.0 - back) * rising, back + (1.0 - back) * rising)
+        body = mechanism.crank.body
         if not mechanism.drives:
             yield Acting(body, moving.state(body).start, torque=effort)
             return

@@ -198,6 +198,7 @@ def simulate(
             message = "the machine has no inertia, so no torque can govern its motion"
             raise InputError(message, "Give the bodies masses", problem.file, "bodies")
     limits = Limits(low, high, Ending.END_OF_RANGE) if bounded else None if ranges.full or prescribed else Limits(low, high)
+    elastic = None
     if bounded and torque is not None and (drive.range is not None or driving.mechanism.cylinders):
         stops = drive.stops or StopsSection()
         limits = Limits(low, high, None, stops.restitution if stops.stiffness is None else None)
@@ -217,6 +218,9 @@ def simulate(
         result = integrated(equations, times, start, speed, limits, progress, (), interrupts.handled)
     else:
         result = run(machine, times, start, speed, torque, limits, progress, singular, interrupts.handled)
+    pressed = 0.0 if elastic is None else float(elastic.force(result.crank_angle[-1]))
+    if pressed and result.ending is Ending.AT_REST:
+        result = replace(result, ending=Ending.AT_STOP)
     if result.ending is not Ending.FINISHED:
         last, cycle = float(result.crank_angle[-1]), machine.mechanism.cycle
         if result.ending is Ending.SINGULAR:
@@ -242,9 +246,23 @@ def simulate(
             notes.append(f"the drive {name} is at most {far:.4g} {column.rpartition('_')[2]} from its law")
     if result.ending is Ending.AT_STOP:  # the balance of the last row is that of drive and stop together
         effort = efforts(machine.mechanism)[0]
-        own, both = float(result.torque[-1]) / driving.lever, columns[effort.column]
-        figures[effort.column.replace("input", "stops")] = held = float(both[-1]) - own
-        both[-1] = own
+        both, column = columns[effort.column], effort.column.replace("input", "stops")
+        held = float(both[-1]) - float(result.torque[-1]) / driving.lever
+        total = held
+        if pressed and elastic is not None:  # at rest it holds between its force going in and that going out
+            own = {name: columns[name] for name in columns if name.startswith("stops.") and not name.endswith("_J")}
+            on_one = (float(part[-1]) for name, part in own.items() if name.count(".") == 1)  # not on both bodies of a cylinder
+            size, least = math.hypot(*on_one) / abs(pressed), elastic.restitution**2
+            before = pressed * min((1.0, least), key=lambda share: abs(share - size))
+            low, high = sorted((pressed, pressed * least))
+            total = min(max(before + held, low), high)
+            held = total - before
+            for part in own.values():
+                part[-1] *= total / before if before else 1.0
+            if (load := effort.column.replace("_", "_load_", 1)) in columns:
+                columns[load][-1] -= held
+        both[-1] -= held
+        figures[column] = held = total
         notes.append(f"the end stop holds it with {held:.6g} {effort.unit}")
     law = "motion laws" if len(machine.mechanism.drives) > 1 else "a motion law"
     if freedoms:

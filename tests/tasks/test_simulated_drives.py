@@ -236,8 +236,13 @@ def test_elastic_stop_returns_the_square_of_its_restitution():
 def test_elastic_stop_holds_a_weight_at_last():
     stops = {"stiffness": "20 kN/m", "restitution": 0.3}
     run = optlink.simulate(carriage(force="0 N", start="0.05 m", stops=stops, duration="5 s"))
-    assert run.ending is Ending.AT_REST
+    assert run.ending is Ending.AT_STOP
     assert 0.3**2 <= -run["carriage.s_m"][-1] * 20e3 * 0.3**2 / (2.0 * 9.81) <= 1.0 + 1e-9
+    assert run["stops.fy_N"][-1] == pytest.approx(2.0 * 9.81)
+    assert run["input.force_N"][-1] == pytest.approx(0.0, abs=1e-9)
+    assert run["input.power_W"][-1] == 0.0
+    assert run.figures["stops.force_N"] == pytest.approx(2.0 * 9.81)
+    assert f"holds it with {2.0 * 9.81:.6g} N" in run.notes[-1]
 
 
 def test_force_that_falls_with_the_speed():
@@ -265,6 +270,15 @@ def test_cylinder_with_a_force_gives_its_work_to_the_boom():
     assert run.figures["stops.force_N"] == pytest.approx(carried - 10e3, rel=1e-6)
     elastic = {"drive.stops": {"stiffness": "2000 kN/m", "restitution": 0.5}, "drive.speed": None, "drive.force": "10 kN"}
     balanced(simulated("excavator-boom", elastic, duration=2.0, rows=200))
+    elastic["drive.stops"] = {"stiffness": "2000 kN/m", "restitution": 0.8}
+    run = simulated("excavator-boom", elastic, duration=8.0, rows=200)
+    angle, length = run["boom.angle_rad"][-1], run["lift.length_m"][-1]
+    lever = away * 1.5 * math.sin(angle - tilt) / length
+    carried = 300.0 * 9.81 * (0.7 * math.cos(angle) - 0.1 * math.sin(angle)) / lever
+    assert run.ending is Ending.AT_STOP
+    assert run.figures["stops.force_N"] == pytest.approx(carried - 10e3, rel=1e-6)
+    assert math.hypot(run["stops.lift.fx_N"][-1], run["stops.lift.fy_N"][-1]) == pytest.approx(10e3 - carried, rel=1e-6)
+    assert run["input.force_N"][-1] == pytest.approx(10e3)
 
 
 def test_lid_falls_on_its_stop():
