@@ -729,7 +729,10 @@ def fixed_design(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
     file = file.override(file.located) if file.located else file  # a mode by the place of a joint is that of the start
     raw: dict[str, Any] = copy.deepcopy({key: value for key, value in file.raw.items() if key not in DESIGN_SECTIONS})
     for name, quantity in file.model.mechanism.quantities.items():
-        write(raw["mechanism"], name, f"{values[name] / quantity.si_per_unit!r} {quantity.display[1]}")
+        number = values[name] / quantity.si_per_unit
+        short = float(f"{number:.12g}")  # 53.5, not 53.50000000000001
+        number = short if math.isclose(short, number, rel_tol=1e-15) else number
+        write(raw["mechanism"], name, f"{number!r} {quantity.display[1]}")
     return file.with_tables(raw)
 
 

@@ -38,16 +38,19 @@ class Grid:
     def below(self, value: float) -> float:
         """Return the largest value of the grid up to a value; -inf if there is none."""
         if self.step:
-            return math.floor((value - self.origin) / self.step + ON_GRID) * self.step + self.origin
+            return self._at(math.floor((value - self.origin) / self.step + ON_GRID))
         k = bisect_right(self.stock, value * (1.0 + ON_GRID * math.copysign(1.0, value)))
         return self.stock[k - 1] if k else -math.inf
 
     def above(self, value: float) -> float:
         """Return the least value of the grid from a value on; inf if there is none."""
         if self.step:
-            return math.ceil((value - self.origin) / self.step - ON_GRID) * self.step + self.origin
+            return self._at(math.ceil((value - self.origin) / self.step - ON_GRID))
         k = bisect_left(self.stock, value * (1.0 - ON_GRID * math.copysign(1.0, value)))
         return self.stock[k] if k < len(self.stock) else math.inf
+
+    def _at(self, count: int) -> float:
+        return float(f"{count * self.step + self.origin:.15g}")  # 535 steps of 0.0001 m are 0.0535 m
 
     def nearest(self, value: float) -> float:
         """Return the nearest value of the grid."""

@@ -234,7 +234,7 @@ class LinkageDesign(Summary):
     def comparison(self) -> str:
         """Comparison of the objective with that of the initial design, in words; empty without an optimum, and beside targets."""
         first, required = self.initial, self.whole.required
-        if first is None or self.solution is None or self.status is not Status.OPTIMAL:
+        if first is None or self.status not in (Status.OPTIMAL, Status.ROUNDED):
             return ""
         initial, optimal, unit, name = first.objective, self.objective, "", "objective"
         if self.whole.single:
