@@ -125,7 +125,8 @@ def steps(
     matrix[:, 2 * poses : last, 1] = -weight[:, 0, :, None] * slope[:, 1, poses:]
     right[:, 2 * poses : last] = weight[:, 0] * value[:, 1, poses:] - weight[:, 1] * value[:, 0, poses:]
     matrix[:, last:] = PIVOTS[: 8 - last]
-    right[:, last:] = 0.0 if rates is None else rates[3][: 8 - last]
+    if last < 8:
+        right[:, last:] = 0.0 if rates is None else rates[3][: 8 - last]
     scale = np.maximum(np.abs(dyads), 1e-300)
     matrix *= scale[:, None]
     square = matrix.reshape(count, 8, 8)

@@ -197,7 +197,7 @@ def _entries(parts: PartSet, layers: Stacked | None) -> Iterator[Entry]:
             among = [layers.layers[name] for name in pin.parts]
             low, high = layers.span(pin)
             length, layer = f" × {number(high - low)}", f"{min(among)}–{max(among)}"
-        head = f", heads Ø{number(pin.head)}" if pin.height else ""
+        head = f"{' between' if layers else ','} heads Ø{number(pin.head)} × {number(pin.height)}" if pin.height else ""
         groups.setdefault(("pin", f"Ø{number(pin.diameter)}{length}{head}", layer), []).append(pin.name)
     for pin, _, tube in layers.spacers if layers else ():
         size = f"Ø{number(tube.width)} / Ø{number(pin.diameter)} × {number(tube.thickness)}"
@@ -231,7 +231,12 @@ def _assembly(
     shown = [[things[name] for name in one.members] for one in entries if one.members[0] in things]
     targets = [_target(alike, [*things.values()]) for alike in shown]
     items += _balloons(np.array(targets), box(items))
-    items += letters([(pin.name, things[f"pin {pin.name}"].core[0], 0.5 * factor * pin.head) for pin in parts.pins], items)
+    seen = []
+    for pin in parts.pins:
+        own = things[f"pin {pin.name}"]
+        if any(True for _ in _visible(own.edges[0], [other for other in things.values() if other.level > own.level])):
+            seen.append((pin.name, own.core[0], own.reach))  # a letter alone would be that of the part that hides it
+    items += letters(seen, items)
     low = box(items)[0]
     return *items, Words(caption, low - [0.0, FIRST], align="left")
 
