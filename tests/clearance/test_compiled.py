@@ -336,7 +336,7 @@ import sys, optlink
 problem = optlink.load("slider-crank-clearance")
 found = optlink.control.simulate_clearance(problem, 1, 12, check_predictability=False, integrator="compiled")
 from optlink.clearance.compiled import machine
-[equations] = [module for module in sys.modules.values() if hasattr(module, "rhs") and hasattr(module, "project")]
+[equations] = [module for module in [*sys.modules.values()] if hasattr(module, "rhs") and hasattr(module, "project")]
 print(repr(found.figures["rms_m"]), equations.rhs.cache_hits, sum(machine.engine().advance.stats.cache_hits.values()))
 """
     room = {**os.environ, machine.FOLDER: str(tmp_path)}
