@@ -267,6 +267,13 @@ def test_a_ratio_of_gears_has_whole_numbers_of_teeth():
     assert 17 <= min(one, other) <= max(one, other) <= 40
 
 
+def test_sizes_of_a_grid_have_its_digits():
+    """535 times 0.0001 is 0.053500000000000006 in doubles."""
+    assert Grid(step=1e-4).nearest(0.05351) == 0.0535
+    made = optlink.solve("crank-rocker", rounding={"step": "0.1 mm"}).best.machine.raw["mechanism"]
+    assert all(len(made[name]) <= len("412.9 mm") for name in ("coupler", "rocker")), made
+
+
 def test_grids():
     step, stock = Grid(step=1e-3), Grid(stock=(0.1, 0.2))
     assert (step.below(0.0123), step.above(0.0123)) == pytest.approx((0.012, 0.013))
