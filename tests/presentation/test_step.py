@@ -172,7 +172,11 @@ def test_an_assembly_has_parts_and_pins_in_their_places(name, tmp_path):
     stack = stacked(part_set(about.cycle))
     path = written(about, tmp_path / "a.step", content="assembly", at=1.0 if about.cycle.full else None)
     read = {one.name: one for one in read_step(path)[1]}
-    assert read.keys() == {*stack.parts.parts, *(f"pin {pin.name}" for pin in stack.parts.pins)}
+    tubes = {f"spacer {pin.name}": (pin, tube) for pin, _, tube in stack.spacers}
+    assert read.keys() == {*stack.parts.parts, *(f"pin {pin.name}" for pin in stack.parts.pins), *tubes}
+    for tube_name, (pin, tube) in tubes.items():
+        exact = 0.25 * math.pi * (tube.width**2 - pin.diameter**2) * tube.thickness
+        assert read[tube_name].volume == pytest.approx(exact, rel=1e-12)
     for body, layer in stack.layers.items():
         low = layer * stack.parts.pitch
         assert read[body].heights == pytest.approx([low, low + stack.parts.parts[body].thickness], abs=1e-7)
