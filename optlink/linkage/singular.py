@@ -216,10 +216,14 @@ def strides(pose: Pose) -> Array:
 def near_alignment(pose: Pose) -> NDArray[np.bool_]:
     """Return which designs (designs,) may have a singular position, from the alignment of their groups at `strides`.
 
-    That of the others would have to fall to zero and rise again between two of them, faster than it changes between any two.
+    That of the others would have to fall to zero and rise again between two of them, faster than it changes between any two, and
+    while no body turns much further than `STRIDE`: the strides may be those of another design.
     """
     near = np.zeros(1, dtype=bool)
     with np.errstate(all="ignore"):
+        for body in pose.mechanism.bodies:
+            turns = (np.diff(np.atleast_2d(as_jet(part).value)) for part in pose.direction(body))
+            near = near | np.any(~(np.hypot(*turns) <= 2.0 * STRIDE), axis=1)
         for group in pose.mechanism.groups:
             sines = np.atleast_2d(as_jet(group.alignment(pose)).value)
             near = near | ~(np.min(sines, axis=1) - np.max(np.abs(np.diff(sines)), axis=1, initial=0.0) > TOUCHING)
