@@ -7,6 +7,7 @@ of place costs as much as a few positions with a line behind the text. A cell th
 that each step lowers the total.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -116,6 +117,11 @@ def sampled(line: Array, step: float) -> Array:
     return np.concatenate([between, line], axis=1)
 
 
+def joined(lines: Iterable[Array]) -> Array:
+    """Return lines (positions, corners, 2) as one with gaps, which takes much less time to sample than many short ones."""
+    return np.concatenate([piece for line in lines for piece in (line, np.full((len(line), 1, 2), np.nan))], axis=1)
+
+
 def arrange(
     texts: Sequence[Places],
     drawing: Sequence[tuple[Array, float]],
@@ -138,22 +144,30 @@ def arrange(
     boxes = [examined(one) for one in boxes]
     lines = [np.empty((1, 1, 0, 2)) if text.lines is None else text.lines[None] for text in texts]
     every_point = np.concatenate([np.zeros((0, 2)), *(one.reshape(-1, 2) for one in (*boxes, *lines))])
-    low, high = np.nanmin(every_point, axis=0, initial=np.inf) - step, np.nanmax(every_point, axis=0, initial=-np.inf)
+    low = np.array([np.fmin.reduce(values, initial=np.inf) for values in every_point.T]) - step  # an axis of two numbers is slow
+    high = np.array([np.fmax.reduce(values, initial=-np.inf) for values in every_point.T]) + step
     columns, rows = (int(n) + 2 for n in (high - low) / step)
     here = np.arange(len(some))[:, None, None]
 
+    def around(points: Array) -> NDArray[np.intp]:
+        """Return the cell of each point (..., 2); the others are in a further one, in which nothing is."""
+        x, y = ((points[..., k] - low[k]) / step for k in range(2))
+        known = (x >= 0.0) & (x < columns) & (y >= 0.0) & (y < rows)
+        column, row = (np.where(known, at, 0.0).astype(np.intp) for at in (x, y))
+        return np.where(known, column * rows + row, columns * rows)
+
     def cells(points: Array) -> NDArray[np.intp]:
-        """Return the cells of points (..., n, 2), each once; the others are a further one, in which nothing is."""
-        at = (points - low) / step
-        known = np.all((at >= 0.0) & (at < [columns, rows]), axis=-1)
-        place = np.where(known[..., None], at, 0.0).astype(np.intp)
-        found = np.sort(np.where(known, place[..., 0] * rows + place[..., 1], columns * rows), axis=-1)
+        """Return the cells of points (..., n, 2), each once, the further one in place of the others."""
+        found = np.sort(around(points), axis=-1)
         found[..., 1:][found[..., 1:] == found[..., :-1]] = columns * rows
         return found
 
     words, rules, bars = np.zeros((3, len(some), columns * rows + 1))
+    alike = defaultdict[tuple[float, int], list[Array]](list)
     for line, weight in drawing:
-        taken = cells(sampled(np.clip(examined(line), low - 50.0 * step, high + 50.0 * step), step))
+        alike[weight, len(line)].append(np.clip(examined(line), low - 50.0 * step, high + 50.0 * step))
+    for (weight, _), pieces in alike.items():
+        taken = around(sampled(joined(pieces), step))
         bars[here[:, 0], taken] = np.maximum(bars[here[:, 0], taken], weight)
     bars[:, -1] = 0.0
     covered = [(cells(one), cells(own)) for one, own in zip(boxes, lines, strict=True)]
@@ -165,7 +179,8 @@ def arrange(
     for text, points, (word, rule) in zip(texts, boxes, covered, strict=True):
         cost = examined(text.costs) + ON_LINE * under(bars, word) + LINES * under(bars, rule)
         if box is not None:
-            beyond = np.any((points < box[:2]) | (points > np.add(box[:2], box[2:])), axis=3)
+            x, y = points[..., 0], points[..., 1]
+            beyond = (x < box[0]) | (x > box[0] + box[2]) | (y < box[1]) | (y > box[1] + box[3])
             cost = cost + OUTSIDE * (np.any(beyond, axis=2) + np.mean(beyond, axis=2))
         fixed.append(cost)
 

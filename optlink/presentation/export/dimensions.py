@@ -15,7 +15,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.chart_spec import GROUND
 from optlink.presentation.export.svg import svg
 from optlink.presentation.html.theme import readable
-from optlink.presentation.placement import CELL, HIGH, LEVEL, Places, arrange, beside, sampled
+from optlink.presentation.placement import CELL, HIGH, LEVEL, Places, arrange, beside, joined, sampled
 from optlink.presentation.scene import Scene, Shape, Text, scene
 from optlink.presentation.shapes import finite, hull, in_line
 from optlink.tasks.analyze import Analysis
@@ -316,7 +316,7 @@ class _Sheet:
         self.items.append((places, lambda k: self._text(at + places.middles[k], text, GROUND, 0.0)))
 
     def _places(self, places: Sequence[_Place], half: float) -> Places:
-        lines = [np.concatenate([sampled(line[None], CELL * self.font)[0] for line in place.lines]) for place in places]
+        lines = [sampled(joined(line[None] for line in place.lines), CELL * self.font)[0] for place in places]
         table = np.full((len(lines), max(map(len, lines)), 2), np.nan)
         for row, line in zip(table, lines, strict=True):
             row[: len(line)] = line
