@@ -20,6 +20,7 @@ from optlink.problem.templates import template
 from optlink.validation import Check
 from tests.browser import console, faults, opened
 from tests.cli.test_cli import run
+from tests.solved import once, shared_searches
 from tests.tiers import mostly_slow
 
 RECORDED = sorted((Path(__file__).parents[1] / "data" / "results").glob("*/*.json"))
@@ -29,8 +30,14 @@ KEPT = ("crank-rocker", *(one for one in SOURCES if Path(one).stem in ("pareto",
 SEARCH = re.compile(r"KKT|multistart|Lagrange|shadow|iterations|local(?:ly)? optim|ipopt|residual|certif|proven|multiplier", re.I)
 
 
-def short(source: str) -> str:
+def made(source: str) -> str:
     return page(page_content(optlink.read_result(source) if source.endswith(".json") else source, {}), brief=True)
+
+
+def short(source: str) -> str:
+    """The page, made once per run, from the search that other tests need as well."""
+    with shared_searches():
+        return once(f"short page of {Path(source).stem}", lambda: made(source))
 
 
 def text_of(document: str) -> str:
@@ -75,7 +82,7 @@ def test_paper_shows_positions_in_place_of_the_motion(driver, tmp_path):
 def test_printed_charts_keep_legends_and_names_of_axes_clear(monkeypatch):
     figures = []
     monkeypatch.setattr(chart_mpl, "legible", figures.append)
-    short("shaper")
+    made("shaper")
     assert [len(figure.axes) for figure in figures] == [2, 1]
     for figure in figures:
         figure.canvas.draw()
