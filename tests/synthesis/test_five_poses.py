@@ -123,8 +123,9 @@ def test_known_linkages_are_listed():
 
 
 @pytest.mark.slow
-def test_each_of_1500_known_linkages_is_listed():
-    assert recapture(1500, 1) == (3000, 1500, 0)
+def test_each_of_400_known_linkages_is_listed():
+    """Among the first 17 is a set of which doubles do not certify all roots."""
+    assert recapture(400, 1) == (800, 400, 0)
 
 
 def test_dyads_that_nearly_coincide_are_separated():
