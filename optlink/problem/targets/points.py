@@ -80,7 +80,7 @@ def resample(pieces: Sequence[CurvePiece], count: int) -> tuple[Array, bool, flo
 def sampled_targets(points: Array, unit: str, loop: bool, note: str) -> TargetPoints:
     """Return points (n, 2) [m] sampled from a curve as targets; `loop`: the curve is closed."""
     check_apart(PointRows(dict(zip("xy", points.T, strict=True)), unit, key="points"))
-    return TargetPoints(pairs(points), unit=unit, note=f"{note}; it is closed" if loop else note, loop=loop)
+    return TargetPoints(pairs(points), unit=unit, note=f"{note}; it is closed" if loop else note, loop=loop, sampled=True)
 
 
 def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
