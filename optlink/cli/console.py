@@ -222,12 +222,17 @@ def share(what: str, *, said: bool = False) -> Iterator[Callable[..., None] | No
     """Yield a progress function for a bar with the remaining time on standard error; None if that is not a terminal.
 
     The bar appears with the first fraction below 1: work of a single step shows none. The function takes the completed fraction,
-    and optionally a text that follows `what`. `said`: without a terminal a line says what begins.
+    and optionally a text that follows `what`. `said`: without a terminal a line says what has begun, after all input was checked.
     """
     if quiet or not sys.stderr.isatty():
-        if said and not quiet:
-            print(f"{what} ...", file=sys.stderr, flush=True)
-        yield None
+        begun: list[str] = []
+
+        def say(_done: float, _text: str = "") -> None:
+            if not begun:
+                begun.append(what)
+                print(f"{what} ...", file=sys.stderr, flush=True)
+
+        yield say if said and not quiet else None
         return
     with contextlib.ExitStack() as stack:
         updates: list[Callable[[float, str], None]] = []

@@ -101,10 +101,9 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Export a design: drawing, parts to cut or print, workshop sheets, motion, geometry, a model of MuJoCo, a link of PMKS+."""
-    from optlink.presentation.export.export import FORMATS, Options, export as write
-    from optlink.presentation.files import check_target
+    from optlink.presentation.export.export import Options, contents_of, export as write
 
-    check_target(output, tuple(FORMATS), "drawing.dxf")
+    contents_of(output, content)
     from optlink.units import measures
 
     kind = "coordinate" if at is not None and measures(at, "coordinate") else "angle"

@@ -99,7 +99,10 @@ def _template(problem: ProblemFile, name: str = "") -> str:
 
 
 NAME_HELP = "Name of the template. Default: list the templates."
-FROM_HELP = "Instead of a template: a file of Linkage (.linkage2) or pylinkage (JSON), or a share link of PMKS+."
+FROM_HELP = (
+    "Instead of a template: a drawing of a path (foot.svg, or foot.svg#NAME if it has several), "
+    "a file of Linkage (.linkage2) or pylinkage (JSON), or a share link of PMKS+."
+)
 Name = Annotated[str, typer.Argument(metavar="TEMPLATE", autocompletion=template_names, help=NAME_HELP, show_default=False)]
 
 
@@ -155,10 +158,13 @@ def new(
 
 
 def _foreign(source: str, out: Path | None) -> Template:
-    """Return the problem file of a linkage of another program."""
+    """Return the problem file of a path in a drawing, or of a linkage of another program."""
+    from optlink.problem import drawn_path
     from optlink.problem.foreign import problem_text
-    from optlink.problem.templates import Template
+    from optlink.problem.templates import Template, with_commands
 
+    if drawn_path.names_drawing(source):
+        return with_commands("", drawn_path.problem_text(source, out), out or "mine.toml")
     commands = (f"optlink analyze {shlex.quote(str(out or 'mine.toml'))}",)
     return Template("", "Linkage of another program", commands, problem_text(source))
 

@@ -22,6 +22,7 @@ from optlink.problem.quantity import Unusable, nearest
 from optlink.problem.requirements.base import DEFAULT_KIND
 from optlink.problem.requirements.kinds import REQUIREMENTS, lacks
 from optlink.problem.targets.law import SLIDE
+from optlink.problem.targets.points import POINT_KEYS
 from optlink.problem.targets.target_points import file_kind
 from optlink.problem.terms import Limit
 from optlink.units import split
@@ -142,6 +143,11 @@ def _nearest_key(path: list[str | int], model: type[Problem], raw: Mapping[str, 
         if path[0] == "limits" or keys_ending(raw, f"drive.{key}"):  # a limit of a torque is no torque of the drive
             sections.remove("drive")
         deeper = [f"{name}.{key}" for name in sections if name != path[0] and key in known_keys((name,), model)]
+    if path[0] == "requirement" and isinstance(raw["requirement"].get("points"), dict):
+        of_points = {name for keys in POINT_KEYS.values() for name in keys}
+        deeper = [f"requirement.points.{key}"] if key in of_points else deeper
+    elif path == ["requirement", "unit"]:
+        deeper = []  # values have their own units; a unit of the drive is another matter
     remedy = nearest(key, _known(tuple(path[:-1]), model, raw), deeper)
     if path[0] == "limits" and len(path) == 2 and model is DesignProblem:
         remedy = f"A limit under a name of your own is a table with quantity or region. {remedy}"

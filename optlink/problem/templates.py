@@ -35,9 +35,14 @@ def template(name: str, file: str | Path | None = None) -> Template:
 
     available = templates()
     check_choice("TEMPLATE", name, available, "no such template")
-    path = Path(file or f"{name}.toml")
+    return with_commands(name, available[name].read_text(encoding="utf-8"), file or f"{name}.toml")
+
+
+def with_commands(name: str, text: str, file: str | Path) -> Template:
+    """Return a text as a template whose commands name the file."""
+    path = Path(file)
     replacements = {"FILE": shlex.quote(str(path)), "STEM": shlex.quote(str(path.with_suffix("")))}
-    lines = available[name].read_text(encoding="utf-8").splitlines()
+    lines = text.splitlines()
     for word, value in replacements.items():
         lines = [line.replace(word, value) if line.startswith(NEXT) else line for line in lines]
     commands = tuple(line.removeprefix(NEXT) for line in lines if line.startswith(NEXT))

@@ -539,6 +539,10 @@ def _notes(
     singular: Array,
 ) -> list[str]:
     notes, driving = start_value_notes(problem, design), problem.model.driving
+    modes, *others = problem.model.mechanism.variants(problem.model.linkage)
+    if others:
+        chosen = " and ".join(f'{key} = "{mode}"' for key, mode in modes.items())
+        notes.append(f'the assembly mode "either" is left open; analysed is {chosen}: state the mode of the machine')
     if not ranges.complete:
         notes.append(f"the crank cannot turn fully; reachable: {ranges.text} (without the last 0.1 % at either end)")
         for low, high in ranges.ranges[:1]:

@@ -198,7 +198,9 @@ class SynthesisTask(DesignTask[SynthesisResult]):
             checked = validate_design(task, values, angles)
             designs.append(LinkageDesign(file, values, angles, checked.objective, Status.NOT_SEARCHED, checked))
         result = of_designs(problem, designs, 1, seconds={"validate": time.perf_counter() - clock})
-        return replace(result, notes=tuple(filter(None, [problem.spec.target_points.note])))
+        ways = [] if result.best is None else [part.way_back for part in result.best.parts]
+        notes = [problem.spec.target_points.note, *(way.note for way in ways if way is not None)]
+        return replace(result, notes=tuple(filter(None, notes)))
 
 
 TASK = SynthesisTask()
@@ -234,6 +236,7 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
         return
     if best.perfect:
         yield f"no design can be better: the {best.whole.goals[0].words} is 0 deg"
+    yield from (part.way_back.note for part in best.parts if part.way_back is not None)
     yield from margin_notes(best.problem, best.values, best.limits, best.objective, collection.polisher.relaxed(best))
     if best.solution and _movable(best):
         equal = continuum(best.whole, best.solution, rounds.options.backend)

@@ -248,3 +248,22 @@ def test_an_animation_is_drawn_on_request_only(tmp_path):
     assert done.exit_code == 2
     assert "--film" in done.stderr
     assert "Add --out DIR" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "key"),
+    [
+        (("solve", "path-bean", "--round", "0.1"), "--round"),
+        (("export", "path-bean", "-o", "x.svg", "--content", "nonsense"), "--content"),
+        (("study", "tolerance", "path-bean", "--tolerance", "crank=0.1 mm", "--limit", "5"), "--limit"),
+    ],
+)
+def test_an_option_is_refused_before_any_search(words, key, monkeypatch):
+    def searched(*_args, **_options):
+        pytest.fail("the search began")
+
+    monkeypatch.setattr("optlink.tasks.design.SearchRounds", searched)
+    done = CliRunner().invoke(app, list(words))
+    assert done.exit_code == 2, done.output
+    assert done.stderr.startswith("Error: ")
+    assert key in done.stderr

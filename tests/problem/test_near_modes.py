@@ -167,3 +167,18 @@ def test_a_design_takes_the_mode_of_its_start_and_states_it():
     found = optlink.solve(problem.override({"mechanism.assembly": near(places[0])}), starts=6)
     assert found.assembly == stated.assembly == "left"
     assert found.design == stated.design
+
+
+def test_an_open_assembly_mode_is_analysed_in_the_first_and_named():
+    """It was taken silently."""
+    raw = {"crank": "40 mm", "coupler": "120 mm", "rocker": "80 mm", "frame": "120 mm"}
+    left, right, either = (
+        optlink.analyze(optlink.read({"title": "A crank-rocker", "mechanism": {**raw, "assembly": mode}}))
+        for mode in ("left", "right", "either")
+    )
+    assert [note for note in left.notes if "assembly" in note] == []
+    assert [note for note in either.notes if "assembly" in note] == [
+        'the assembly mode "either" is left open; analysed is mechanism.assembly = "left": state the mode of the machine'
+    ]
+    assert either["rocker.angle_rad"] == pytest.approx(left["rocker.angle_rad"])
+    assert either["rocker.angle_rad"] != pytest.approx(right["rocker.angle_rad"])

@@ -17,10 +17,11 @@ from optlink.presentation import terminal
 from optlink.presentation.html.page import page
 from optlink.presentation.report_model import ReportModel
 from optlink.presentation.views import design_tables
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import dump
 from optlink.solvers.solution import LimitState
 from optlink.tasks.design import solve, solve as solve_cycle, validate
-from optlink.tasks.results.fit import Fit, PathFit, TransmissionFit, fixed_effects, transmission_fit
+from optlink.tasks.results.fit import Fit, PathFit, TransmissionFit, fixed_effects, segment_of, transmission_fit, way_back
 from tests.stated import document, four_bar_section, free
 
 SIZES = dict.fromkeys(("crank", "coupler", "rocker", "frame"), free(10.0, 300.0))
@@ -273,7 +274,7 @@ def test_a_machine_with_the_best_transmission_angle_is_graded() -> None:
 
 def test_an_error_larger_than_the_path_has_no_exponent():
     """It stood as 7.1e+02 % on a page."""
-    fit = PathFit(1e-6, 1e-3, "m", "the size of the path", excursion=7.1e-3, after=10, count=18)
+    fit = PathFit(1e-6, 1e-3, "m", "the size of the path", excursion=7.1e-3, segment="points 11 and 12")
     assert fit.text == "poor fit: between points 11 and 12 the curve deviates by 7.1 mm, 710 % of the size of the path"
     assert PathFit(0.052, 1.0, "m", "the size").text == "poor fit: rms error is 5.2 % of the size"
 
@@ -602,3 +603,51 @@ def test_the_worst_pressure_angle_as_the_only_objective_of_several_demands_is_gr
         assert result.fit.angle == pytest.approx(math.acos(0.07 / rod), abs=1e-9)
     raw["objective"] = {"quantity": "total length"}
     assert optlink.validate(optlink.read(raw), {"rod.length": 0.075}).fit is None
+
+
+# --- paths: the rest of the curve, and remedies ------------------------------------------------------------------------------
+
+
+def drawn(points: object, **limits: object) -> DesignProblem:
+    """A four-bar whose point P may lie in the crank pin B, with a path."""
+    sizes = {"crank": "30 mm", "coupler": "80 mm", "rocker": "70 mm", "frame": "90 mm", "assembly": "left"}
+    mechanism = {"type": "four-bar", **sizes, "points": {"P": ["0 mm", {"bounds": ["-9 mm", "9 mm"]}]}}
+    requirement = {"kind": "path", "point": "P", "points": points}
+    return optlink.read({"title": "A path", "mechanism": mechanism, "requirement": requirement, "limits": limits}).spec
+
+
+QUARTER = [[f"{30 * math.cos(a)} mm", f"{30 * math.sin(a)} mm"] for a in (0.0, 0.25 * math.pi, 0.5 * math.pi)]
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_the_rest_of_the_curve_beyond_an_open_path_is_that_of_the_circle_of_the_crank_pin(way):
+    task = drawn(QUARTER[::way])
+    rest = way_back(task, task.design({"P.across": 0.0}), np.radians([0.0, 45.0, 90.0])[::way])
+    assert rest is not None
+    assert rest.drawn == pytest.approx(0.03 * math.pi / 2, rel=1e-5)
+    assert rest.whole == pytest.approx(0.03 * math.tau, rel=1e-5)
+    assert rest.away == pytest.approx(0.06 * math.sin(math.radians(67.5)), rel=1e-5)  # from the end of the arc to its opposite
+    assert "47.1 of 188 mm" in rest.note
+    assert "region" in rest.note
+
+
+def test_only_an_open_path_of_a_turning_crank_leaves_a_rest():
+    box = {"region": "circle", "of": "P", "centre": ["0 mm", "0 mm"], "radius": "40 mm", "side": "inside"}
+    for task, expected in (
+        (drawn([*QUARTER, QUARTER[0]]), False),
+        (drawn(QUARTER, crank="span"), False),
+        (drawn(QUARTER, box=box), True),
+    ):
+        angles = np.linspace(0.0, 0.5 * math.pi, len(task.data.columns))
+        rest = way_back(task, task.design({"P.across": 0.0}), angles)
+        assert (rest is not None) == expected
+        assert rest is None or "region" not in rest.note  # a remedy that the file has
+
+
+def test_the_remedy_between_points_of_a_drawing_is_their_number_and_names_places():
+    listed, sampled = drawn(QUARTER), drawn({"x": "30*cos(t)", "y": "30*sin(t)", "unit": "mm", "t": [0, "pi/2"], "points": 3})
+    assert segment_of(listed, 1)[1] == "prescribe further points between points 2 and 3, or more weight beside them"
+    assert segment_of(sampled, 0) == (
+        "(30, 0) and (21.21, 21.21) mm",
+        "take more points of the curve: requirement.points.points = 9",
+    )

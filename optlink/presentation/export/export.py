@@ -1,6 +1,6 @@
 """Export of a design: drawings, parts to cut or print and their sheets, motion, geometry, a model of MuJoCo, a link of PMKS+."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,16 +75,28 @@ def export(model: ReportModel, path: Path, options: Options | None = None) -> Se
         If the extension is unknown, the design cannot be assembled or an option is out of range; then no file is written.
     """
     options = options or Options()
-    check_target(path, tuple(FORMATS), "drawing.dxf")
+    contents = contents_of(path, options.content)
     if model.cycle is None:
         remedy = "Check it with optlink validate, and export another design"
         raise InputError(f"the design cannot be drawn: {model.unmoved}", remedy, model.problem.file)
-    contents = FORMATS[path.suffix.lower()]
-    if options.content is not None and options.content not in contents:
-        others = [ending for ending, known in FORMATS.items() if options.content in known]
-        remedy = f"Write a {' or '.join(others)} file" if others else nearest(options.content, contents)
-        raise InputError(f"a {path.suffix} file cannot have this content", remedy, key="--content", value=options.content)
     return contents[options.content or next(iter(contents))](model, model.cycle, path, options) or ()
+
+
+def contents_of(path: Path, content: str | None) -> Mapping[str, Callable[..., Sequence[str] | None]]:
+    """Return the contents that a file of this name can have, with their writers.
+
+    Raises
+    ------
+    InputError
+        If there is no such format, or it cannot have the requested content.
+    """
+    check_target(path, tuple(FORMATS), "drawing.dxf")
+    contents = FORMATS[path.suffix.lower()]
+    if content is not None and content not in contents:
+        others = [ending for ending, known in FORMATS.items() if content in known]
+        remedy = f"Write a {' or '.join(others)} file" if others else nearest(content, contents)
+        raise InputError(f"a {path.suffix} file cannot have this content", remedy, key="--content", value=content)
+    return contents
 
 
 def place_of(cycle: Analysis, at: float | None, key: str = "--at", share: float = 0.0) -> float:

@@ -165,7 +165,8 @@ class _Points(Words):
     def achieved(self, design: LinkageDesign) -> str:
         distances = design.measured.distances
         rms, most = si(rms_of(distances), "m"), si(float(np.max(distances)), "m")
-        return f"the linkage passes the {len(distances)} prescribed points within {most} (root mean square {rms})"
+        rest = f"; {pretty(design.way_back.text)}" if design.way_back is not None else ""
+        return f"the linkage passes the {len(distances)} prescribed points within {most} (root mean square {rms}){rest}"
 
 
 class _Poses(_Points):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, below, check_keys, check_pair, is_number
+from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, below, check_keys, check_pair, is_number, read_scalar
 from optlink.problem.targets.expression import Expression, LawError, parse
 from optlink.problem.targets.target_points import (
     COINCIDENT,
@@ -80,7 +80,7 @@ def resample(pieces: Sequence[CurvePiece], count: int) -> tuple[Array, bool, flo
 def sampled_targets(points: Array, unit: str, loop: bool, note: str) -> TargetPoints:
     """Return points (n, 2) [m] sampled from a curve as targets; `loop`: the curve is closed."""
     check_apart(PointRows(dict(zip("xy", points.T, strict=True)), unit, key="points"))
-    return TargetPoints(pairs(points), unit=unit, note=f"{note}; it is closed" if loop else note, loop=loop)
+    return TargetPoints(pairs(points), unit=unit, note=f"{note}; it is closed" if loop else note, loop=loop, sampled=True)
 
 
 def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
@@ -190,6 +190,18 @@ class _Element:
     def id(self) -> str:
         return self.attributes.get("id", "")
 
+    @property
+    def label(self) -> str:
+        """Name that the user of Inkscape gave it."""
+        return self.attributes.get("http://www.inkscape.org/namespaces/inkscape label", "")
+
+    @property
+    def listed(self) -> str:
+        """Name in a list, with its label and its layer."""
+        layer = next((element.label for element in self.chain()[-2::-1] if element.label), "")
+        words = [f'"{shortened(self.label)}"' * bool(self.label), f'in the layer "{shortened(layer)}"' * bool(layer)]
+        return " ".join(filter(None, (str(self), *words)))
+
     def __str__(self) -> str:
         return f'<{self.tag} id="{shortened(self.id)}">' if self.id else f"<{self.tag}>"
 
@@ -262,15 +274,15 @@ def _elements(data: bytes, name: str) -> tuple[_Element, list[_Element], str]:
 
 
 def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _Element:
-    """Return the shape with the id `path`, or the path of that number (another shape if there are no paths)."""
+    """Return the shape with the id or label `path`, or the path of that number (another shape if there are no paths)."""
     requested = raw.get("path", 1)
     if isinstance(requested, bool) or not isinstance(requested, int | str):
         raise Unusable("expected an id or a number", 'Write path = "curve", or path = 1', "path", requested)
     if isinstance(requested, str) and requested:
-        matches = [shape for shape in shapes if shape.id == requested]
+        matches = [shape for shape in shapes if shape.id == requested] or [one for one in shapes if one.label == requested]
         if len(matches) > 1:
             raise Unusable(
-                f"{name} has {len(matches)} shapes of that id", "Give each its own, or name it by number", "path", requested
+                f"{name} has {len(matches)} shapes of that name", "Give each its own, or name it by number", "path", requested
             )
         if matches:
             return matches[0]
@@ -278,7 +290,7 @@ def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _E
     numbered = [shape for shape in drawn if shape.tag == "path"] or drawn
     if not numbered:
         raise Unusable(f"{name} contains no path", "Save a drawing with a path; text and pictures are not paths", "svg", name)
-    listing = ", ".join(f"{number} {shape}" for number, shape in enumerate(numbered[:8], start=1))
+    listing = ", ".join(f"{number} {shape.listed}" for number, shape in enumerate(numbered[:8], start=1))
     remedy = f"It has, by number: {listing}{', ...' if len(numbered) > 8 else ''}"
     if "path" not in raw and len(numbered) != 1:
         raise Unusable(f"{name} has {len(numbered)} paths; name one of them", remedy, "path")
@@ -378,6 +390,20 @@ def _scale(root: _Element, name: str, forgive: bool) -> float | None:
     return max(scales) if "slice" in aspect else min(scales)
 
 
+def _user_unit(raw: Mapping[str, Any]) -> tuple[float, str]:
+    """Return the stated length of one user unit [mm], and the unit in which the path is shown.
+
+    It is a unit, of SVG or another one, or a length, which scales the drawing.
+    """
+    stated = raw["unit"]
+    if stated in ("pt", "px", "pc"):
+        return (_MILLIMETRES | {"px": _PIXEL})[stated], "mm"
+    if isinstance(stated, str) and re.match(r"[\d.]", stated):
+        value, unit = read_scalar(stated, "length", "unit")
+        return 1e3 * value, unit
+    return 1e3 * metres(raw), stated
+
+
 def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
     """Return points of a shape of an SVG file, from a table with svg, and optionally path, unit and points.
 
@@ -386,7 +412,7 @@ def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
     Unusable
     """
     count = read_count(raw)
-    millimetres_per_unit = metres(raw) * 1e3 if "unit" in raw else None
+    millimetres_per_unit, unit = _user_unit(raw) if "unit" in raw else (None, "mm")
     name, data = read_file(raw, "svg", folder)
     root, shapes, sheets = _elements(data, name)
     shape = _chosen(shapes, raw, name)
@@ -402,8 +428,8 @@ def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
     except Unusable as error:
         key = error.key or "path"
         raise Unusable(f"{shape} of {name}: {error.message}", error.remedy, key, error.value) from None
-    unit = raw.get("unit", "mm")
-    origin = "as stated" if millimetres_per_unit else "as stated in the file" if file_scale else "not stated in the file"
+    known = "as stated in the file" if file_scale else 'not stated in the file: add unit = "pt", "px" or "in" if it is another'
+    origin = "as stated" if millimetres_per_unit else known
     if file_scale and not math.isclose(scale, file_scale, rel_tol=1e-6):
         origin = f"as stated, though the file states {file_scale:.6g} mm"
     note = f"{shape} of {name}, {show(length, 'length', unit)} long, sampled at {count} points evenly by arc length"

@@ -44,7 +44,7 @@ class TargetPoints:
     poses. `weights` of the
     squared distances, None where all are 1. `tolerances` [m]: the largest permitted distance, inf where there is none. `unit` for
     display. `loop`: sampled from a closed curve, whose first point is not repeated at the end. `note`: description of the
-    sampling or reduction, for display.
+    sampling or reduction, for display. `sampled`: the points are not listed, but taken from a curve.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -55,6 +55,7 @@ class TargetPoints:
     unit: str = "mm"
     note: str = field(default="", compare=False)
     loop: bool = False
+    sampled: bool = field(default=False, compare=False)
 
     @property
     def posed(self) -> NDArray[np.bool_]:

@@ -29,7 +29,7 @@ from optlink.studies.tolerances.allocation import Allocation, allocate
 from optlink.studies.tolerances.monte_carlo import CHUNK, LinearAnalysis, MonteCarlo, Progress, linear_analysis, monte_carlo
 from optlink.studies.tolerances.nominal import ERROR, nominal_design
 from optlink.studies.tolerances.robust_design import YIELD, RobustDesign, check_targets, maximise_yield
-from optlink.studies.tolerances.sampling import identified, read_deviations, stated
+from optlink.studies.tolerances.sampling import identified, read_deviations, read_tolerances, stated
 from optlink.tasks.machine import check_design
 from optlink.units import DISPLAYED, UnitProblem, parse, read_number
 
@@ -232,6 +232,9 @@ def tolerance(
     problem = problem_of(problem)
     tolerances = stated(problem, tolerances) if isinstance(tolerances, Mapping) else tolerances
     _check(samples, seed, shape, target_yield, limit)
+    read_tolerances(problem, tolerances, shape)  # before a search
+    if output in (None, ERROR) and getattr(problem.model, "parts", ()):
+        _limit(limit, problem.spec.parts[0].unit)
     check_design(problem, design)
     with _processes(samples, known_here(problem, execution)) as runs:
         file, robust_result = problem, None

@@ -44,7 +44,7 @@ from optlink.tasks.results.common import (
 )
 from optlink.tasks.results.conflict import refutation
 from optlink.tasks.results.exact import ExactSolutions, document
-from optlink.tasks.results.fit import FINE, Fit, fit, transmission_fit
+from optlink.tasks.results.fit import FINE, Fit, WayBack, fit, transmission_fit, way_back
 from optlink.tasks.results.rounding import Rounding
 from optlink.tasks.results.strokes import stroke_document
 from optlink.units import DISPLAYED, KINDS, factor, percent
@@ -276,6 +276,11 @@ class LinkageDesign(Summary):
     def between(self) -> Array | None:
         """Excursion [m] of the traced curve between each point and the next; None for other tasks than paths."""
         return None if not self.whole.parts else excursions(self.task, self.own, self._own_angles)
+
+    @cached_property
+    def way_back(self) -> WayBack | None:
+        """The rest of the curve beyond an open path; None for other tasks."""
+        return way_back(self.task, self.own, self._own_angles) if self.whole.parts else None
 
     @property
     def follows_law(self) -> bool:

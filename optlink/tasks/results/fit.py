@@ -31,6 +31,7 @@ from optlink.problem.document import Source
 from optlink.problem.quantity import Quantity
 from optlink.problem.requirements.base import pose_angles
 from optlink.problem.targets.law import Function, Table, begins_at_psi0
+from optlink.problem.targets.target_points import MAX_POINTS
 from optlink.solvers.solution import LimitState, Solution
 from optlink.units import show
 
@@ -258,6 +259,9 @@ TRANSMISSION_KEYS = (
 )  # limits of the transmission angle
 FINE = 721  # positions along a motion, such as those at which the error of a law is measured over its whole range
 NO_RANGE = 1e-3  # share of a radian, or of the longest link, below which targets are all the same: a dwell, a single position
+NEAR = 0.05  # share of the size of the path up to which the rest of the curve is where the path is
+REST = math.radians(1.0)  # rotation of the crank up to which an open path leaves no rest of the curve
+MORE_POINTS = 3  # of a drawing: times as many are advised where the curve leaves the drawing between them
 GRADES = ("exact", "good", "fair", "poor")
 MAX_ACTIVE_LIMITS = 2  # largest number of active limits given as reasons
 
@@ -307,12 +311,11 @@ class Fit:
 class PathFit(Fit):
     """Error of a path at its points and, where that is worse, between them.
 
-    `excursion` [m]: the largest one of the curve between two points, the first of which has the index `after`.
+    `excursion` [m]: the largest one of the curve between two points, whose names are the `segment`.
     """
 
     excursion: float = 0.0
-    after: int = 0
-    count: int = 0
+    segment: str = ""
 
     @property
     def at_points(self) -> str:
@@ -327,17 +330,58 @@ class PathFit(Fit):
         return worst if between in ("fair", "poor") else self.at_points
 
     @property
-    def segment(self) -> str:
-        """Names of the two points between which the excursion is largest."""
-        return f"points {self.after + 1} and {(self.after + 1) % self.count + 1}"
-
-    @property
     def text(self) -> str:
         """The grade with the figure that determines it."""
         if self.grade == self.at_points:
             return super().text
         share = f"{_percent(self.excursion / self.size)} of {self.of}"
         return f"{self.grade} fit: between {self.segment} the curve deviates by {_length(self.excursion)}, {share}"
+
+
+@dataclass(frozen=True)
+class WayBack:
+    """The curve of a point beyond an open path, on which it returns while the crank turns on.
+
+    `drawn` and `whole` [m]: the lengths of the curve along the points and of all of it; `away` [m]: the largest distance of the
+    rest from the points' part.
+    """
+
+    point: str
+    drawn: float
+    whole: float
+    away: float
+    bounded: bool
+
+    @property
+    def text(self) -> str:
+        """What the rest of the curve does, as a clause."""
+        lengths = f"{1e3 * self.drawn:.3g} of {1e3 * self.whole:.3g} mm"
+        return f"the points are {lengths} of the curve of {self.point}, whose rest lies up to {_length(self.away)} away"
+
+    @property
+    def note(self) -> str:
+        """The same with what to do about it."""
+        return f"{self.text}; if that matters, close the path{'' if self.bounded else f' or keep {self.point} in a region'}"
+
+
+def way_back(task: DesignProblem, values: Mapping[str, float], angles: Array) -> WayBack | None:
+    """Return the rest of the curve of an open path, of which the points are passed at crank angles [rad].
+
+    None without any, or where it stays near the points: the point returns on the same way, or nearly so.
+    """
+    open_path = task.requirement.kind == "path" and not task.closed and task.limits.crank != "span"
+    if not open_path or task.linkage.limits is not None or len(angles) < 2:
+        return None
+    first, last = float(angles[0]), float(angles[-1])
+    rest = math.copysign(TURN, last - first) - (last - first)
+    if abs(rest) <= REST:
+        return None
+    ways = (np.linspace(first, last, FINE), np.linspace(last, last + rest, FINE))
+    drawn, back = (sweep(task.linkage, values, way).position(task.point) @ [1.0, 1.0j] for way in ways)
+    away = float(np.max(np.min(np.abs(back[:, None] - drawn), axis=1)))
+    lengths = [float(np.sum(np.abs(np.diff(part)))) for part in (drawn, back)]
+    bounded = any(region.of == task.point for region in task.limits.regions.values())
+    return WayBack(task.point, lengths[0], sum(lengths), away, bounded) if away > NEAR * task.size else None
 
 
 def _percent(share: float) -> str:
@@ -424,12 +468,12 @@ def fit(
     worst = max(fits, key=lambda one: one.share)
     if between is not None and np.any(np.isfinite(between)):
         after = int(np.nanargmax(between))
-        path = PathFit(worst.error, worst.size, worst.unit, worst.of, (), float(between[after]), after, len(targets))
+        segment, advice = segment_of(task, after)
+        path = PathFit(worst.error, worst.size, worst.unit, worst.of, (), float(between[after]), segment)
         if path.grade != path.at_points:
             reason = (
                 f"the {len(targets)} points are met within {_length(float(np.max(distances)))}, the curve between them is not"
             )
-            advice = f"prescribe further points between {path.segment}, or more weight beside them"
             return replace(path, reasons=(PoorFitReason(f"{reason} prescribed", advice),))
     if worst.grade != "poor":
         return worst
@@ -444,6 +488,22 @@ def fit(
     limits = () if solution is None else solution.displayed_limits
     reasons += [*active_reasons(limits), *fixed_reasons(_quantities(task), values, solution, task), *_kind(task, values)]
     return Fit(worst.error, worst.size, worst.unit, worst.of, tuple(reasons))
+
+
+def segment_of(task: DesignProblem, after: int) -> tuple[str, str]:
+    """Return the names of a point, by its index, and of the next one, and how to prescribe the curve between them.
+
+    Points that were sampled from a curve have no names in the file, but places.
+    """
+    points, data = task.data.columns, task.target_points
+    ends = [after, (after + 1) % len(points)]
+    if not data.sampled:
+        segment = f"points {ends[0] + 1} and {ends[1] + 1}"
+        return segment, f"prescribe further points between {segment}, or more weight beside them"
+    segment = " and ".join(f"({', '.join(f'{1e3 * value:z.4g}' for value in points[end, :2])})" for end in ends) + " mm"
+    more = min(MAX_POINTS, MORE_POINTS * len(points))
+    dense = "take more points of the curve: requirement.points.points = "
+    return segment, f"{dense}{more}" if more > len(points) else f"give the curve wider bends near {segment}"
 
 
 def _sized(errors: Array, size: float, unit: str, of: str, links: Sequence[float] = ()) -> Fit:
