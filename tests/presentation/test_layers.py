@@ -36,7 +36,8 @@ def pieces(stack: Stacked) -> list[tuple[str, str, np.ndarray, float, float]]:
     found = []
     for name, part in stack.parts.parts.items():
         low = stack.layers[name] * stack.parts.pitch
-        found.append((name, name, rounded(part.core, 0.5 * part.width), low, low + part.thickness))
+        corners = rounded(part.core, 0.5 * part.width) if part.end == "round" else np.array(part.outline)[:, :2]
+        found.append((name, name, corners, low, low + part.thickness))
     for pin in stack.parts.pins:
         low, high = stack.span(pin)
         found.append((f"pin {pin.name}", pin.on, rounded(pin.at[None], 0.5 * pin.diameter), low, high))
@@ -91,6 +92,26 @@ def test_nothing_collides_in_the_layers(name):
     assert stack.layers["frame"] == 0
     assert min(layer for body, layer in stack.layers.items() if body != "frame") > 0
     assert collisions(stack) == set()
+
+
+@pytest.mark.parametrize("end", ["square", "chamfered"])
+def test_nothing_collides_in_the_layers_of_parts_with_straight_ends(end):
+    stack = stacked(part_set(of("crank-rocker", {"parts.end": end}).cycle))
+    assert collisions(stack) == set()
+    flat = {**stack.layers, "coupler": stack.layers["crank"]}
+    assert {"crank", "coupler"} in collisions(Stacked(stack.parts, flat, stack.room))
+    assert any({one.one, one.other} == {"crank", "coupler"} for one in Stack(stack.parts).collisions(flat))
+
+
+def test_a_corner_collides_where_a_round_end_does_not():
+    """A rocker whose corner reaches a pin that a round end passes at some distance: gaps are those of the true outlines."""
+    gaps = {}
+    for end in ("round", "chamfered", "square"):
+        stack = Stack(part_set(of("crank-rocker", {"parts.end": end}).cycle))
+        one, other = (stack.parts.parts[name] for name in ("crank", "rocker"))
+        gaps[end] = stack._gap("crank", "rocker").least - one.reach - other.reach
+    assert gaps["square"] < gaps["chamfered"] - 1.0
+    assert gaps["chamfered"] < gaps["round"] - 0.1
 
 
 def test_a_link_in_the_layer_of_another_collides():

@@ -18,12 +18,13 @@ from matplotlib.path import Path as Polygon
 
 import optlink
 from optlink.errors import InputError
+from optlink.presentation.export.dxf import rounded as rounded_outline
 from optlink.presentation.export.export import FORMATS, Options, export
 from optlink.presentation.export.printing import KERNELS
 from optlink.presentation.parts import solids
 from optlink.presentation.parts.layers import stacked
 from optlink.presentation.parts.layout import engraved, laid_out
-from optlink.presentation.parts.model import part_set
+from optlink.presentation.parts.model import FlatPart, part_set
 from optlink.presentation.parts.solids import Solid, plate
 from optlink.presentation.report_model import ReportModel, report_model_of
 from tests.cli.test_cli import run
@@ -169,6 +170,89 @@ def area(outline) -> float:
             radius = 0.5 * chord / math.sin(0.5 * turned)
             total += 0.5 * radius**2 * (turned - math.sin(turned))
     return total
+
+
+def area_of(part: FlatPart) -> float:
+    """Area of a part from its holes by closed forms: hull, strip and corners, of which those of straight ends are kites."""
+    corners, r = part.core[_hull_order(part.core)], 0.5 * part.width
+    edges = np.roll(corners, -1, axis=0) - corners
+    total = 0.5 * float(np.sum(corners[:, 0] * np.roll(corners[:, 1], -1) - corners[:, 1] * np.roll(corners[:, 0], -1)))
+    total += r * float(np.linalg.norm(edges, axis=1).sum())
+    ways = np.arctan2(edges[:, 1], edges[:, 0])
+    for turned in (ways - np.roll(ways, 1)) % (2.0 * np.pi):
+        count = 1 if turned <= 0.5 * np.pi + 1e-9 else 2
+        each = turned / count
+        leg = r * math.tan(0.5 * each)
+        cut = 0.125 * leg**2 * math.sin(each) if part.end == "chamfered" and each > 0.25 * np.pi + 1e-9 else 0.0
+        total += 0.5 * turned * r**2 if part.end == "round" else count * (r * leg - cut)
+    holes = (
+        np.pi * (0.5 * one.diameter) ** 2 + one.diameter * np.linalg.norm(one.ends[1] - one.ends[0]) for one in part.openings
+    )
+    return total - float(sum(holes))
+
+
+def _hull_order(points: np.ndarray) -> list[int]:
+    """Corners of the hull, counter-clockwise, by wrapping it: from the lowest point always to the rightmost one in sight."""
+    points = np.round(points, 9)
+    start = min(range(len(points)), key=lambda k: (points[k, 1], points[k, 0]))
+    order, way = [start], 0.0
+    while True:
+        away = points - points[order[-1]]
+        far = np.linalg.norm(away, axis=1)
+        turns = np.where(far > 1e-6, (np.arctan2(away[:, 1], away[:, 0]) - way + 1e-9) % (2.0 * np.pi), np.inf)
+        near = np.flatnonzero(turns < turns.min() + 2e-9)
+        following = int(near[np.argmax(far[near])])
+        way = math.atan2(away[following, 1], away[following, 0])
+        if np.allclose(points[following], points[start]):
+            return order
+        order.append(following)
+
+
+ENDED = [("crank-rocker", "square"), ("path-watt-leg", "chamfered"), ("shaper", "square"), ("shaper", "chamfered")]
+ENDED += [("path-watt-leg", "round"), ("straight-line", "chamfered")]
+
+
+@pytest.mark.parametrize(("name", "end"), mostly_slow(ENDED, ENDED[0], ENDED[1]))
+def test_parts_with_straight_ends_have_the_volumes_of_closed_forms(name, end, tmp_path):
+    """Meshes to 1e-4; the outlines of the files for cutting, which share their vertices, to 1e-9."""
+    about = of(name, {"parts.end": end})
+    parts = part_set(about.cycle).parts
+    read = read_3mf(written(about, tmp_path / "a.3mf"))
+    whole = read_stl(written(about, tmp_path / "a.stl"))
+    assert open_edges(numbered(whole)) == 0
+    drawing = ezdxf.readfile(written(about, tmp_path / "a.dxf", content="parts"))
+    cut = [area(one.get_points("xyb")) for one in drawing.modelspace().query("LWPOLYLINE")]
+    svg = written(about, tmp_path / "a.svg", content="parts").read_text()
+    outlines = dict(re.findall(r'<g id="([^"]+)">\n<path d="([^"]+)"', svg))
+    assert outlines.keys() == parts.keys()
+    assert volume(whole) == pytest.approx(sum(area_of(part) * part.thickness for part in parts.values()), rel=1e-4)
+    for body, part in parts.items():
+        places, faces = read[body]
+        assert open_edges(faces) == 0
+        assert volume(places[faces]) == pytest.approx(area_of(part) * part.thickness, rel=1e-4)
+        holes = sum(area(one.outline) for one in part.openings)
+        assert min(abs(one - holes - area_of(part)) for one in cut) < 1e-9 * area_of(part)
+        assert ("A" in outlines[body]) == (end == "round")
+        if end != "round":
+            corners = [(float(x), -float(y), 0.0) for x, y in re.findall(r"(-?[\d.]+) (-?[\d.]+)", outlines[body])]
+            assert area(corners) - holes == pytest.approx(area_of(part), rel=1e-9)
+        inner = rounded_outline(part.core, 0.5 * part.width - 1e-6)
+        assert Polygon(solids.polygon(part.outline)).contains_points(solids.polygon(inner)).all()  # as wide as a round one
+
+
+def test_the_end_of_one_link_differs():
+    """A bar of 100 mm and width 50 mm with square ends is 150 mm long; its chamfers have legs of a quarter of the width."""
+    changes = {"parts": {"end": "square", "links": {"coupler": {"end": "round"}, "rocker": {"end": "chamfered"}}}}
+    parts = part_set(of("crank-rocker", changes).cycle).parts
+    assert {name: part.end for name, part in parts.items()} == {
+        "frame": "square",
+        "crank": "square",
+        "coupler": "round",
+        "rocker": "chamfered",
+    }
+    assert np.array(parts["crank"].outline) == pytest.approx(np.array([[-25, 25, 0], [-25, -25, 0], [125, -25, 0], [125, 25, 0]]))
+    corners = np.array(parts["rocker"].outline)[:, :2]
+    assert [tuple(np.round(np.abs(edge), 6)) for edge in np.diff(corners, axis=0)].count((12.5, 12.5)) == 4
 
 
 @pytest.mark.parametrize("name", mostly_slow(SHIPPED, "crank-rocker", "watt-i", "six-bar"))
@@ -338,6 +422,8 @@ def absolute(motion, body: str, at: np.ndarray) -> np.ndarray:
         ),
         ({"parts": {"links": {"cranc": {}}}}, 'parts.links.cranc = "cranc": no such link. Did you mean "crank"?'),
         ({"parts": {"joints": {"Z": {}}}}, 'parts.joints.Z = "Z": no such pin joint. Known: A, D, B, C'),
+        ({"parts.end": "squared"}, 'parts.end = "squared"'),
+        ({"parts": {"links": {"crank": {"end": "flat"}}}}, 'parts.links.crank.end = "flat"'),
         ({"parts.widht": "5 mm"}, 'parts.widht: unknown key. Did you mean "width"?'),
         ({"parts.width": "5"}, 'parts.width = "5": a length needs a unit'),
     ],
@@ -345,6 +431,12 @@ def absolute(motion, body: str, at: np.ndarray) -> np.ndarray:
 def test_what_cannot_be_made_is_refused_in_a_sentence(changes, says):
     with pytest.raises(InputError, match=re.escape(says)):
         part_set(of("crank-rocker", changes).cycle)
+
+
+def test_a_link_that_is_no_part_has_no_shape():
+    says = 'parts.links = "slider": slider is no part: a pin stands for it. Leave it out'
+    with pytest.raises(InputError, match=re.escape(says)):
+        part_set(of("slider-crank", {"parts": {"links": {"slider": {"end": "square"}}}}).cycle)
 
 
 @pytest.mark.parametrize("name", REFUSED)

@@ -41,7 +41,10 @@ class Text:
 
 @dataclass
 class Page:
-    """What one sheet of a DXF file contains; the border is the first rectangle of the size of a paper less its margins."""
+    """What one sheet of a DXF file contains; the border is the first rectangle of the size of a paper less its margins.
+
+    `leaders` are those of labels and balloons, `ruled` the lines of dimensions by the box of their text.
+    """
 
     border: np.ndarray
     texts: list[Text]
@@ -49,6 +52,8 @@ class Page:
     circles: list[np.ndarray]
     centres: np.ndarray
     corners: np.ndarray
+    leaders: list[np.ndarray]
+    ruled: list[tuple[np.ndarray, np.ndarray]]
 
     @property
     def words(self) -> list[str]:
@@ -73,11 +78,16 @@ def pages(path: Path) -> list[Page]:
     assert drawing.audit().errors == []
     space = drawing.modelspace()
     texts = [box_of(one) for one in space.query("TEXT")]
-    dimensions = []
+    dimensions, ruled = [], []
     for one in space.query("DIMENSION"):
         (printed,) = one.get_geometry_block().query("TEXT")
         texts.append(box_of(printed))
         dimensions.append((printed.dxf.text, one))
+        boxes = texts[-1].box
+        ruled += [
+            (boxes, np.array(line.get_points("xy"))) for line in one.get_geometry_block().query("LWPOLYLINE") if not line.closed
+        ]
+    leaders = [np.array(one.get_points("xy")) for one in space.query('LWPOLYLINE[layer=="thin"]') if not one.closed]
     lines = {one: np.array([point[:2] for point in one.get_points("xy")]) for one in space.query("LWPOLYLINE")}
     for _, one in dimensions:
         lines |= {line: np.array(line.get_points("xy")) for line in one.get_geometry_block().query("LWPOLYLINE")}
@@ -102,6 +112,8 @@ def pages(path: Path) -> list[Page]:
                 [at for at, _, layer in circles if layer == "outline" and within(at)],
                 np.array([at for at in centres if within(at)]).reshape(-1, 2),
                 np.array([at for at in corners if within(at)]),
+                [line for line in leaders if within(line[0])],
+                [(text, line) for text, line in ruled if within(line[0])],
             )
         )
     return sorted(found, key=lambda page: page.border[0, 0])
@@ -184,6 +196,51 @@ def test_nothing_overlaps_or_leaves_the_border(name, sheet_of):
         corners = np.concatenate([page.corners, *boxes])
         assert np.all(corners >= page.border[0] - 1e-9)
         assert np.all(corners <= page.border[1] + 1e-9)
+
+
+def crosses(line: np.ndarray, box: np.ndarray) -> bool:
+    """Whether a line enters a box, by the share of each of its pieces that lies between both pairs of sides."""
+    for begin, end in itertools.pairwise(line):
+        shares = [0.0, 1.0]
+        for a, b, low, high in zip(begin, end, *(box + np.array([[0.05], [-0.05]])), strict=True):
+            if a == b:
+                shares = shares if low < a < high else [1.0, 0.0]
+            else:
+                first, last = sorted(((low - a) / (b - a), (high - a) / (b - a)))
+                shares = [max(shares[0], first), min(shares[1], last)]
+        if shares[0] < shares[1]:
+            return True
+    return False
+
+
+def cut(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two lines have a point in common, by solving for the shares of their pieces."""
+    for (a, b), (c, d) in itertools.product(itertools.pairwise(one), itertools.pairwise(other)):
+        matrix = np.column_stack([b - a, c - d])
+        if abs(np.linalg.det(matrix)) > 1e-9:
+            share = np.linalg.solve(matrix, c - a)
+            if np.all((share > 1e-6) & (share < 1.0 - 1e-6)):
+                return True
+    return False
+
+
+def crossings(page: Page) -> list[object]:
+    """Leaders and texts that cross one another, and lines of dimensions that cross leaders or the text of another one."""
+    found: list[object] = [("leaders", *pair) for pair in itertools.combinations(page.leaders, 2) if cut(*pair)]
+    found += [("leader", one.text) for one in page.texts for line in page.leaders if crosses(line, one.box)]
+    found += [("dimension", line) for _, line in page.ruled for leader in page.leaders if cut(line, leader)]
+    return found + [
+        ("dimension", a.text) for a in page.texts for box, line in page.ruled if box is not a.box and crosses(line, a.box)
+    ]
+
+
+CROSSED = ("toggle-press", "whitworth", "path-watt-leg", "law-six-bar", "press-toggle", "straight-line", "stephenson-iii")
+CROSSED += ("balance-six-bar", "path-arc5", "shaper")
+
+
+@pytest.mark.parametrize("name", mostly_slow(CROSSED, "shaper", "toggle-press"))
+def test_no_leader_and_no_dimension_crosses_a_text_or_a_leader(name, sheet_of):
+    assert [crossings(page) for page in sheet_of(name)[1]] == [[] for _ in sheet_of(name)[1]]
 
 
 @pytest.mark.parametrize("name", CASES)

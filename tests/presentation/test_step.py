@@ -15,7 +15,7 @@ import pytest
 from optlink.presentation.parts.layers import stacked
 from optlink.presentation.parts.model import part_set
 from tests.cli.test_cli import run
-from tests.presentation.test_parts import area, distances, holes_of, of, written
+from tests.presentation.test_parts import ENDED, area, area_of, distances, holes_of, of, written
 
 needs_ocp = pytest.mark.skipif(find_spec("OCP") is None, reason="the extra cad is not installed")
 NAMES = ["crank-rocker", "shaper", "slider-crank", "watt-i", "toggle-press", "slotted-quick-return", "two-wipers", "six-bar"]
@@ -161,6 +161,21 @@ def test_parts_are_closed_solids_with_true_cylinders(name, tmp_path):
             np.testing.assert_allclose(found, wanted[one.name], rtol=0, atol=1e-6)
             compared += len(found)
     assert compared
+
+
+@pytest.mark.slow
+@needs_ocp
+@pytest.mark.parametrize(("name", "end"), ENDED)
+def test_parts_with_straight_ends_have_the_volumes_of_closed_forms(name, end, tmp_path):
+    """To 1e-12, as closed solids of planes but for their openings."""
+    about = of(name, {"parts.end": end})
+    parts = part_set(about.cycle).parts
+    for one in read_step(written(about, tmp_path / "a.step"))[1]:
+        part = parts[one.name]
+        assert_closed(one)
+        assert one.volume == pytest.approx(part.thickness * area_of(part), rel=1e-12)
+        cylinders, _ = one.faces()
+        assert all(cylinder.hole for cylinder in cylinders) == (end != "round")
 
 
 @pytest.mark.slow

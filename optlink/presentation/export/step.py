@@ -13,7 +13,8 @@ from optlink.errors import InputError, extra_remedy
 from optlink.linkage.vector2d import Array
 from optlink.presentation.export.dxf import Vertex
 from optlink.presentation.parts.model import FlatPart, Pin
-from optlink.presentation.parts.solids import middle, profile
+from optlink.presentation.parts.outline import middle
+from optlink.presentation.parts.solids import profile
 
 try:
     from OCP.APIHeaderSection import APIHeaderSection_MakeHeader

@@ -76,11 +76,11 @@ class Stack:
         """Return the radius [mm] that is free around a pin between its parts, where others have spacers."""
         among = [layers[name] for name in pin.parts]
         levels = range(2 * min(among) + 1, 2 * max(among))
-        radii = [(name, 0.5 * part.width) for name, part in self.parts.parts.items() if 2 * layers[name] in levels]
+        radii = [(name, part.reach) for name, part in self.parts.parts.items() if 2 * layers[name] in levels]
         for other in self.parts.pins:
             radius = max((self._radius(other, layers, level) for level in levels), default=0.0)
-            radii.append((other.name, max(radius, 0.5 * HEAD * other.diameter) if radius else 0.0))
-        others = [(name, radius) for name, radius in radii if radius and name not in (pin.name, *pin.parts)]
+            radii += [(other.name, max(radius, 0.5 * HEAD * other.diameter))] if radius else []
+        others = [(name, radius) for name, radius in radii if name not in (pin.name, *pin.parts)]
         return min((self._gap(pin.name, name).least - radius for name, radius in others), default=math.inf) - self.slack
 
     def _placed(self, layers: Mapping[str, int], top: int, allowed: int) -> dict[str, int] | None:
@@ -101,20 +101,22 @@ class Stack:
         """Yield the collisions of parts and of pins whose parts have layers; those alone in which a new part takes part."""
         for one, other in itertools.combinations(layers, 2):
             if layers[one] == layers[other] and (not new or new in (one, other)):
-                yield from self._colliding(one, other, 0.5 * (self.parts.parts[one].width + self.parts.parts[other].width))
+                yield from self._colliding(one, other, self.parts.parts[one].reach + self.parts.parts[other].reach)
         whole = [pin for pin in self.parts.pins if all(name in layers for name in pin.parts)]
         for pin in whole:
             for name in layers:
                 if name not in pin.parts and (not new or new == name or new in pin.parts):
                     radius = self._radius(pin, layers, 2 * layers[name])
                     if radius:
-                        yield from self._colliding(pin.name, name, radius + 0.5 * self.parts.parts[name].width)
+                        yield from self._colliding(pin.name, name, radius + self.parts.parts[name].reach)
         for pin, other_pin in itertools.combinations(whole, 2):
             near = self._gap(pin.name, other_pin.name).least < 0.5 * (pin.head + other_pin.head) + self.slack
             if near and (not new or new in pin.parts or new in other_pin.parts):
                 levels = range(-3, 2 * max(layers.values()) + 4)
                 both = [[self._radius(one, layers, level) for one in (pin, other_pin)] for level in levels]
-                yield from self._colliding(pin.name, other_pin.name, max(sum(radii) if all(radii) else 0.0 for radii in both))
+                yield from self._colliding(
+                    pin.name, other_pin.name, max(sum(radii) if all(radii) else -math.inf for radii in both)
+                )
 
     def _radius(self, pin: Pin, layers: Mapping[str, int], level: int) -> float:
         """Return the radius that a pin occupies at a level [mm]; zero where it is not.
@@ -130,7 +132,7 @@ class Stack:
 
     def _colliding(self, one: str, other: str, needed: float) -> Iterator[Collision]:
         gap = self._gap(one, other)
-        if needed and gap.least < needed + self.slack:
+        if gap.least < needed + self.slack:
             yield Collision(self._called(one), self._called(other), needed + self.slack - gap.least, gap.at)
 
     def _called(self, name: str) -> str:
@@ -191,8 +193,8 @@ def stacked(parts: PartSet) -> Stacked:
 
 
 def convex(part: FlatPart) -> Array:
-    """Return the corners (n, 2) of the convex hull of a part's core, counter-clockwise; two of a straight one, one of a disc."""
-    points = np.unique(np.round(part.core, 9), axis=0)
+    """Return the corners (n, 2) of the hull of a part's spine, counter-clockwise; two of a round bar, one of a disc."""
+    points = np.unique(np.round(part.spine, 9), axis=0)
     if len(points) < 3:
         return points
     order = in_line(points, 1e-9 * float(np.ptp(points)))

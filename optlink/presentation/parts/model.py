@@ -18,7 +18,9 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.export.dxf import HOLE, MAX_HOLE_SHARE, WIDTH, Vertex, nearest_holes, rounded, travelled, usual_hole
 from optlink.presentation.format import round_below
+from optlink.presentation.parts.outline import ENDS
 from optlink.presentation.scene import named_points, scene
+from optlink.problem.machine.parts import End
 from optlink.problem.quantity import Quantity
 from optlink.tasks.analyze import Analysis
 
@@ -52,9 +54,10 @@ class Opening:
 
 @dataclass(frozen=True, eq=False)
 class FlatPart:
-    """A link as a flat part in its own axes [mm]: its outline is half the width away from the hull of its openings and marks.
+    """A link as a flat part in its own axes [mm].
 
-    Its dimensions begin at the point `origin` (2,), and go along and across the unit vector `along` (2,).
+    Its outline is half the width away from the hull of its openings and marks, more at ends that are not round. Its dimensions
+    begin at the point `origin` (2,), and go along and across the unit vector `along` (2,).
     """
 
     name: str
@@ -66,21 +69,32 @@ class FlatPart:
     origin: Array
     along: Array
     note: str = ""
+    end: End = "round"
 
     @cached_property
     def core(self) -> Array:
         """Points (n, 2) from whose convex hull the outline keeps half the width."""
         return np.array([*(end for one in self.openings for end in one.ends), *self.marks.values()]).reshape(-1, 2)
 
-    @property
+    @cached_property
     def outline(self) -> tuple[Vertex, ...]:
         """Its edge, counter-clockwise."""
-        return rounded(self.core, 0.5 * self.width)
+        return ENDS[self.end](rounded(self.core, 0.5 * self.width))
+
+    @property
+    def reach(self) -> float:
+        """Distance of its outline from the hull of its `spine`."""
+        return 0.5 * self.width if any(bulge for *_, bulge in self.outline) else 0.0
+
+    @property
+    def spine(self) -> Array:
+        """Points (n, 2) of whose hull its outline is at the distance `reach`: the corners where it has no arcs."""
+        return self.core if self.reach else np.array(self.outline)[:, :2]
 
     @property
     def corners(self) -> tuple[Array, Array]:
         """Lower left and upper right corner (2,) of the rectangle round it."""
-        return self.core.min(axis=0) - 0.5 * self.width, self.core.max(axis=0) + 0.5 * self.width
+        return self.spine.min(axis=0) - self.reach, self.spine.max(axis=0) + self.reach
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +210,10 @@ class _Maker:
                 pins.append(self._pin(name, guide.slider, at, [guide.slider, guide.on]))
             openings[guide.on].append(self._slot(guide.name, guide, guide.on))
         parts = {body: self._part(body, tuple(found)) for body, found in openings.items() if found and body not in blocks}
+        for body in self.section.links:
+            if body not in parts:
+                message = f"{body} is no part: {'a pin stands for it' if body in blocks else 'it has no holes'}"
+                raise InputError(message, "Leave it out", self.file, "parts.links", body)
         if any(not one.round for part in parts.values() for one in part.openings):
             notes.append(f"Slots are {number(self.overtravel)} mm longer than the travel at each end.")
         if any(self._of_joint(pin.name)[0] == pin.diameter for pin in pins):
@@ -268,8 +286,9 @@ class _Maker:
         marks = {name: at for name, at in free.items() if name not in self.mechanism.pins}
         thickness = self._size(own.thickness if own else None, self.thickness)
         material = (own and own.material) or self.section.material
-        axes = self._frame_axes(openings) if body == FRAME else (np.zeros(2), np.array([1.0, 0.0]))
-        part = FlatPart(body, openings, marks, width, thickness, material, *axes)
+        origin, along, note = self._frame_axes(openings) if body == FRAME else (np.zeros(2), np.array([1.0, 0.0]), "")
+        end = (own and own.end) or self.section.end
+        part = FlatPart(body, openings, marks, width, thickness, material, origin, along, note, end)
         widest = max(openings, key=lambda one: one.diameter)
         if width <= widest.diameter:
             message = f"{body} is not wider than its hole at {widest.joint}, which measures {widest.diameter:.6g} mm"

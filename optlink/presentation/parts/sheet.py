@@ -17,6 +17,7 @@ from optlink.linkage.vector2d import Array
 from optlink.presentation.export.dxf import Vertex, rounded
 from optlink.presentation.parts.layers import Stacked, convex, stacked
 from optlink.presentation.parts.model import PartSet, distance, number, placed
+from optlink.presentation.parts.part_view import part_view
 from optlink.presentation.parts.solids import polygon
 from optlink.presentation.parts.view import (
     FIRST,
@@ -30,7 +31,6 @@ from optlink.presentation.parts.view import (
     box,
     circle,
     letters,
-    part_view,
     scale_text,
     segment,
     width,
@@ -101,9 +101,13 @@ class _Thing:
     openings: tuple["_Thing", ...] = ()
 
     def depth(self, points: Array) -> Array:
-        """Return the distances of points (n, 2) from its edge, negative within it but not below `-reach`."""
+        """Return the distances of points (n, 2) from its edge, negative within it."""
         core = np.broadcast_to(self.core, (len(points), *self.core.shape))
-        return distance(points[:, None], core) - self.reach
+        away, sides = distance(points[:, None], core), np.roll(self.core, -1, axis=0) - self.core
+        if len(sides) > 2:  # counter-clockwise: the inside lies to the left of every side
+            normals = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1)[:, None]
+            away = np.where(away > 0.0, away, np.max(np.sum((points[:, None] - self.core) * normals, axis=2), axis=1))
+        return away - self.reach
 
 
 @dataclass(eq=False)
@@ -216,9 +220,10 @@ def _assembly(
     levels = layers.layers if layers else {name: k for k, name in enumerate(parts.parts)}
     things: dict[str, _Thing] = {}
     for name, part in parts.parts.items():
-        core, reach = factor * placed(at, name, convex(part))[0], 0.5 * factor * part.width
+        core, reach = factor * placed(at, name, convex(part))[0], factor * part.reach
         ends = [(factor * placed(at, name, one.ends)[0], 0.5 * factor * one.diameter) for one in part.openings]
-        edges = (rounded(core, reach), *itertools.starmap(rounded, ends))
+        edge = rounded(core, reach) if reach else tuple((float(x), float(y), 0.0) for x, y in core)
+        edges = (edge, *itertools.starmap(rounded, ends))
         things[name] = _Thing(levels[name], core, reach, edges, tuple(_Thing(levels[name], *one) for one in ends))
     for pin in parts.pins:
         core, reach = factor * placed(at, pin.on, pin.at[None])[0], 0.5 * factor * pin.head

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.export.dxf import Vertex
 from optlink.presentation.parts.model import FlatPart, Pin
+from optlink.presentation.parts.outline import middle
 
 CHORDS = 360  # of a circle: its area differs by 5e-5
 TRIES = 12  # most directions in which an outline is triangulated
@@ -73,13 +74,7 @@ def profile(pin: Pin, low: float, high: float) -> list[tuple[float, float]]:
     return [(head, low - pin.height), (head, low), *steps, (head, high), (head, high + pin.height)] if pin.height else steps
 
 
-def middle(begin: ArrayLike, end: ArrayLike, bulge: float) -> Array:
-    """Return the centre (2,) of an arc."""
-    x, y = np.subtract(end, begin)
-    return np.asarray(0.5 * np.add(begin, end) + 0.25 * (1.0 / bulge - bulge) * np.array([-y, x]))
-
-
-def polygon(outline: Sequence[Vertex], around: bool = False) -> Array:
+def polygon(outline: Sequence[Vertex], around: bool = False, chords: int = CHORDS) -> Array:
     """Return corners (n, 2) of an outline with chords in place of its arcs, or with tangents around them."""
     corners: list[Array] = []
     for (x, y, bulge), (u, v, _) in zip(outline, (*outline[1:], outline[0]), strict=True):
@@ -89,7 +84,7 @@ def polygon(outline: Sequence[Vertex], around: bool = False) -> Array:
             continue
         turned = 4.0 * math.atan(bulge)
         centre = middle(begin, end, bulge)
-        count = max(1, math.ceil(turned / TURN * CHORDS - 1e-9))
+        count = max(1, math.ceil(turned / TURN * chords - 1e-9))
         angles = turned * (np.arange(count) + 0.5 if around else np.arange(1, count)) / count
         arm = (begin - centre) / (math.cos(0.5 * turned / count) if around else 1.0)
         turns = np.column_stack([np.cos(angles), np.sin(angles)])

@@ -2,16 +2,15 @@
 
 import math
 import unicodedata
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 from typing import Literal, Protocol, Self
 
 import numpy as np
 
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import Array
 from optlink.presentation.export.dxf import Vertex, rounded
-from optlink.presentation.parts.model import FlatPart, Opening, number
+from optlink.presentation.parts.model import number
 from optlink.presentation.parts.solids import polygon
 from optlink.presentation.placement import arrange, beside, short_name
 
@@ -107,7 +106,8 @@ class Words:
 class Measure:
     """A dimension between two points (2, 2), along x or, if upright, along y; its line is at `line` of the other axis.
 
-    `factor`: millimetres on paper for one of the part; `tolerance` is added to the text.
+    `factor`: millimetres on paper for one of the part; `tolerance` is added to the text, which of a short one lies beyond the
+    first end or, if `turned`, the second.
     """
 
     ends: Array
@@ -115,6 +115,7 @@ class Measure:
     upright: bool
     factor: float
     tolerance: str = ""
+    turned: bool = False
 
     @property
     def text(self) -> str:
@@ -130,9 +131,9 @@ class Measure:
 
     @property
     def words(self) -> Words:
-        """Its text: above the middle of its line, or beyond the first end of a short one."""
-        begin, end = self.ends[:, int(self.upright)]
-        middle = begin - math.copysign(0.5 * width(self.text) + 2.5 * ARROW, end - begin) if self.tight else 0.5 * (begin + end)
+        """Its text: above the middle of its line, or beyond an end of a short one."""
+        near, far = self.ends[::-1, int(self.upright)] if self.turned else self.ends[:, int(self.upright)]
+        middle = near - math.copysign(0.5 * width(self.text) + 2.5 * ARROW, far - near) if self.tight else 0.5 * (near + far)
         beside = 0.5 * TEXT + GAP
         at = [self.line - beside, middle] if self.upright else [middle, self.line + beside]
         return Words(self.text, np.array(at), angle=90.0 * self.upright)
@@ -204,57 +205,6 @@ def box(items: Iterable[Item]) -> Array:
     return np.array([corners.min(axis=0), corners.max(axis=0)])
 
 
-def part_view(
-    part: FlatPart, caption: str, remarks: Iterable[str], tolerances: Mapping[tuple[str, str, int], str], factor: float
-) -> tuple[Item, ...]:
-    """Draw a part with its dimensions: the coordinates of all holes in its axes.
-
-    The caption, with the scale, and the remarks stand below it. `tolerances` of coordinates by part, joint and axis; `factor`:
-    millimetres on paper for one of the part. A part that is rather higher than wide lies on its side.
-    """
-    axes = np.array([part.along, [-part.along[1], part.along[0]]])
-    wide, high = np.ptp(part.core @ axes.T, axis=0)
-    lying = bool(high > LYING * wide)
-    turn = factor * (np.array([axes[1], -axes[0]]) if lying else axes)
-
-    def paper(at: Array) -> Array:
-        return np.asarray((at - part.origin) @ turn.T)
-
-    def drawn(vertices: Iterable[Vertex]) -> Line:
-        corners = ((*paper(np.array([x, y])), bulge) for x, y, bulge in vertices)
-        return Line(tuple((float(x), float(y), bulge) for x, y, bulge in corners), "outline", closed=True)
-
-    places = [(one.joint, paper(end), 0.5 * factor * one.diameter) for one in part.openings for end in one.ends[: 2 - one.round]]
-    marks = [(name, paper(at), 0.0) for name, at in part.marks.items()]
-    outline = drawn(part.outline)
-    low, high = box([outline])
-    items: list[Item] = [outline, *(drawn(one.outline) for one in part.openings)]
-    for _, at, radius in (*places, *marks):
-        items += [replace(segment(at - arm, at + arm), style="centre") for arm in (radius + CROSS) * np.eye(2)]
-    for upright in (False, True):
-        rows: dict[float, list[tuple[str, Array]]] = {}  # by distance, the points with the ends of their extension lines
-        for name, at, radius in (*places, *marks):
-            foot = at - (radius + CROSS + GAP) * np.eye(2)[1 - upright]
-            rows.setdefault(round(float(at[int(upright)]), 6), []).append((name, foot))
-        near = {key: min((foot for _, foot in row), key=itemgetter(1 - upright)) for key, row in rows.items()}
-        for k, key in enumerate(sorted((key for key in rows if abs(key) > SAME), key=abs)):
-            tolerance = max(tolerances.get((part.name, name, int(upright != lying)), "") for name, _ in rows[key])
-            line = float(low[1 - upright]) - FIRST - ROW * k
-            items.append(Measure(np.array([near[0.0], near[key]]), line, bool(upright), factor, tolerance))
-    bar = bool(len(part.outline) == 4 and np.ptp(paper(part.core)[:, 1]) < SAME)
-    if bar:
-        edge = float(high[0]) - 0.5 * factor * part.width + GAP
-        ends = np.array([[edge, low[1]], [edge, high[1]]])
-        items.append(Measure(ends, float(high[0]) + FIRST, True, factor))
-    items += _labels(_diameters(part, paper, factor), float(high[1]) + FIRST, -1.0)
-    items += _labels([_radius(part, outline, factor, bar)], float(high[1]) + FIRST, 1.0)
-    items += letters([*{name: (name, at, radius) for name, at, radius in (*places, *marks)}.values()], items)
-    left, bottom = box(items)[0]
-    for k, text in enumerate((f"{caption}   {scale_text(factor)}", *remarks)):
-        items.append(Words(text, np.array([left, bottom - FIRST - 2.0 * TEXT * k]), align="left"))
-    return tuple(items)
-
-
 def letters(points: Sequence[tuple[str, Array, float]], items: Iterable[Item]) -> list[Words]:
     """Return names beside circles of centres (2,) and radii, clear of what is drawn."""
     names = [short_name(name) for name, *_ in points]
@@ -266,51 +216,3 @@ def letters(points: Sequence[tuple[str, Array, float]], items: Iterable[Item]) -
         texts.append(beside(at[None], half, radius + REACHES, 0.5, others, (0.1, 0.1)))
     places = [text.at[0] + text.middles[choice[0]] for text, choice in zip(texts, arrange(texts, drawing, SMALL), strict=True)]
     return [Words(name, place, SMALL) for name, place in zip(names, places, strict=True)]
-
-
-Label = tuple[str, Array, float]
-"""A text with the centre and radius of the circle at which its leader points."""
-
-
-def _diameters(part: FlatPart, paper: Callable[[Array], Array], factor: float) -> list[Label]:
-    """Return the labels of holes and slots of equal sizes, each at the uppermost of them."""
-    groups: dict[tuple[bool, float, str], list[Opening]] = {}
-    for one in part.openings:
-        groups.setdefault((one.round, round(one.diameter, 9), one.fit), []).append(one)
-    labels: list[Label] = []
-    for (whole, diameter, fit), members in groups.items():
-        count = f"{len(members)}× " if len(members) > 1 else ""
-        top = max((paper(end) for one in members for end in one.ends), key=lambda at: (round(float(at[1]), 6), float(at[0])))
-        text = f"{count}{'Ø' if whole else 'slot, width '}{number(diameter)} {fit}"
-        labels.append((text.strip(), top, 0.5 * factor * diameter))
-    return labels
-
-
-def _radius(part: FlatPart, outline: Line, factor: float, bar: bool) -> Label:
-    """Return the label of the outer arcs, at the one that faces the upper right most; of a level bar their size is auxiliary."""
-    radius, found = 0.5 * factor * part.width, list[tuple[float, float, Array]]()
-    for (x, y, bulge), (u, v, _) in zip(outline.vertices[::2], outline.vertices[1::2], strict=True):
-        turned, middle = 4.0 * math.atan(bulge), math.atan2(x - u, v - y)  # of the arc, and the direction of its middle
-        centre = 0.5 * np.array([x + u, y + v]) - radius * math.cos(0.5 * turned) * np.array([math.cos(middle), math.sin(middle)])
-        off = (SLOPE - middle + 0.5 * TURN) % TURN - 0.5 * TURN
-        angle = middle + max(-0.5 * turned, min(0.5 * turned, off))
-        tip = centre + radius * np.array([math.cos(angle), math.sin(angle)])
-        found.append((round(max(0.0, abs(off) - 0.5 * turned), 6), -float(tip[0]), tip))
-    if len(found) == 1:
-        return f"Ø{number(part.width)}", found[0][2], 0.0
-    size = f"R{number(0.5 * part.width)}"
-    return f"{len(found)}× {f'({size})' if bar else size}", min(found, key=lambda one: one[:2])[2], 0.0
-
-
-def _labels(labels: Sequence[Label], y: float, way: float) -> Iterator[Item]:
-    """Yield texts in a row at a height with their leaders, which lean to the right or, if `way` is -1, to the left."""
-    free = -math.inf
-    arriving = [way * float(at[0]) + min(FAR, float(y - at[1]) / math.tan(SLOPE)) for _, at, _ in labels]
-    for x, (text, centre, radius) in sorted(zip(arriving, labels, strict=True), key=lambda one: one[0]):
-        x = max(x, free)
-        start, gap = np.array([way * x, y]), np.array([way * GAP, 0.0])
-        along = (start - centre) / np.linalg.norm(start - centre)
-        yield segment(centre + radius * along, start, start + gap)
-        yield arrow(centre + radius * along, along)
-        yield Words(text, start + 2.0 * gap, align="left" if way > 0.0 else "right")
-        free = x + 2.0 * GAP + width(text) + TEXT

@@ -1,10 +1,15 @@
 """Section `[parts]`: how the links are made."""
 
+from typing import Literal
+
 from pydantic import Field
 
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.problem.base_model import Fact, Name, Section
 from optlink.problem.quantity import FixedLength, check_name
+
+End = Literal["round", "square", "chamfered"]
+"""Shapes of the ends of a link."""
 
 
 class LinkPart(Section):
@@ -14,6 +19,8 @@ class LinkPart(Section):
     """Width of this link."""
     thickness: FixedLength | None = None
     """Thickness of this link."""
+    end: End | None = None
+    """Shape of the ends of this link."""
     material: Fact = ""
     """Material of this link, on the workshop sheet."""
 
@@ -36,6 +43,8 @@ class PartsSection(LinkPart, JointPart):
     """Width of the links; default: 2.5 times the diameter of the holes."""
     thickness: FixedLength | None = None
     """Thickness of the links; default: about three quarters of the diameter of the holes."""
+    end: End = "round"
+    """Shape of the ends: `"round"`, `"square"` for bars that are cut off, `"chamfered"` for square ones without sharp corners."""
     hole: FixedLength | None = None
     """Diameter of the holes; default: about 3 % of the extent, at most half of the least distance of two holes of a link."""
     pin: FixedLength | None = None
