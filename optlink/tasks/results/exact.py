@@ -78,7 +78,11 @@ class ExactSolutions:
 
     @property
     def sentence(self) -> str:
-        """How many solutions there are, and how many of them are usable."""
+        """How many solutions there are, how many of them are usable, and why the others are not."""
+        return self.counts(self._others)
+
+    def counts(self, others: str = "") -> str:
+        """Return how many solutions there are, and how many of them are usable, with words about the `others`."""
         note = f"; {self.note}" * bool(self.note)
         if self.special:
             return f"{self.task}: {self.special}{note}"
@@ -91,7 +95,7 @@ class ExactSolutions:
         found = f"{count} {self.linkage}{'s' * (count != 1)}, {self.usable} usable" if count else f"no {self.linkage}"
         if self.either and count:
             found = f"{count // 2} four-bar{'s' * (count > 2)}, {count} with either link as the crank, {self.usable} usable"
-        return f"{self.task}: {roots}{missing}{sliders}; {found}{self._others}{note}"
+        return f"{self.task}: {roots}{missing}{sliders}; {found}{others}{note}"
 
     @property
     def reasons(self) -> dict[str, int]:
