@@ -215,6 +215,7 @@ function preview(scene, valid = false) {
   } else if (state?.scene) {
     linkage.take(state.scene, state.targets);
     motion.take(state.scene);
+    parts.state(state);
   } else {
     motion.stop();
     linkage.clear();

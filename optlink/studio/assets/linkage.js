@@ -76,7 +76,7 @@ export class Linkage {
     this.layers.made.replaceChildren();
     this.radii = new Map((parts?.pins || []).map(({ joint, diameter }) => [joint, diameter / 2]));
     for (const { name, path, pin, at, diameter, layer } of shapes) {
-      const body = name === frame.name ? frame : this.scene.bodies.find((one) => one.name === name);
+      const body = name === frame.name ? frame : this.scene?.bodies.find((one) => one.name === name);
       if (body) {
         const words = `${name}${layer === null ? "" : `, layer ${layer}`}`;
         const shape = path ? svg("path", { d: path, transform: "scale(1 -1)" }) : svg("circle", { cx: at[0], cy: at[1], r: diameter / 2 });

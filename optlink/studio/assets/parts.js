@@ -28,9 +28,7 @@ export class Parts {
 
   // A state of the design: its parts are asked for when it rests.
   state({ moving, searching }) {
-    if (this.on && !moving && !searching) {
-      this.asked = this.actions.ask();
-    }
+    this.asked = this.on && !moving && !searching ? this.actions.ask() : null;
   }
 
   take(message) {

@@ -62,7 +62,7 @@ export class Solutions {
     thumbnail(plot, one.scene);
     const words = one.figure === null ? `${k + 1}` : `${k + 1}: ${quantity(one.figure, this.unit, 4)}`;
     setText(figure, words);
-    const verdict = one.usable ? "usable" : one.reasons.map((reason) => reason.split(": ")[0]).join(", ");
+    const verdict = one.usable ? "usable" : [...new Set(one.reasons.map((reason) => reason.split(": ")[0]))].join(", ");
     setText(note, verdict);
     button.classList.toggle("bad", !one.usable);
     button.setAttribute("aria-label", `Solution ${k + 1}: ${this.by} ${one.figure === null ? "unknown" : quantity(one.figure, this.unit, 4)}, ${verdict}`);

@@ -10,8 +10,8 @@ from optlink.problem.document import Number
 
 DEFECTS = {
     "circuit": "the positions lie on two circuits, between which the linkage must be taken apart",
-    "branch": "they lie on both sides of a dead centre of the follower",
-    "order": "the crank passes them in another order",
+    "branch": "the positions lie on both sides of a dead centre of the follower",
+    "order": "the crank passes the positions in another order",
 }
 """Defects of a linkage that meets all targets, and their meaning."""
 BY_TRANSMISSION = "transmission angle"
