@@ -14,7 +14,7 @@ from optlink.studio.dyads import started
 from optlink.studio.picture import Picture
 from optlink.tasks.exact import listing
 from optlink.tasks.results.design import SynthesisResult
-from optlink.tasks.results.exact import BY_TRANSMISSION, DEFECTS
+from optlink.tasks.results.exact import BY_TRANSMISSION, DEFECTS, counts
 from optlink.tasks.search import mode_of
 
 
@@ -45,9 +45,9 @@ def document(result: SynthesisResult) -> dict[str, Any]:
     return {
         "items": finite(items),
         "count": len(listed.solutions),
+        "special": bool(listed.special),
         "usable": listed.usable,
-        "linkage": listed.linkage,
-        "sentence": listed.counts(),
+        "sentence": counts(listed),
         "by": listed.ranked_by,
         "unit": listed.unit,
         "ways": ["total length", *(f"peak {what} of {name}" for name in points for what in ("velocity", "acceleration"))],

@@ -40,16 +40,17 @@ export class Solutions {
     }
   }
 
-  show({ items, count = 0, usable = 0, linkage, sentence = "", unit, by, ways = [] }) {
+  show({ items, count = 0, usable = 0, special, sentence = "", unit, by, ways = [] }) {
     Object.assign(this, { items, unit, by });
     $("found-by").placeholder = this.usual ?? "";
     $("found-ways").replaceChildren(...ways.map((value) => el("option", { value })));
-    setText($("found-title"), count ? `${usable} usable of ${count} exact solutions` : "No exact solutions");
+    const listed = special ? `The ${count} best of infinitely many exact solutions` : `${usable} usable of ${count} exact solutions`;
+    setText($("found-title"), count ? listed : "No exact solutions");
     $("found-title").title = sentence;
     const more = count > items.length ? ` ${count - items.length} more are in the list of the command optlink solve --all --json.` : "";
     this.about = `${sentence.charAt(0).toUpperCase()}${sentence.slice(1)}.${more}`;
     setText($("found-why"), sentence ? this.about : "");
-    keyed($("found-items"), items, (_, k) => k, (_, k) => this.item(k, linkage), (node, one, k) => this.fill(node, one, k));
+    keyed($("found-items"), items, (_, k) => k, (_, k) => this.item(k), (node, one, k) => this.fill(node, one, k));
   }
 
   item(k) {
