@@ -282,7 +282,7 @@ function take(next) {
   titled(keep(next));
   $("undo").disabled = !undo;
   $("redo").disabled = !redo;
-  for (const name of ["save", "export", "share", "search"]) {
+  for (const name of ["save", "export", "share", "search", "view-parts"]) {
     $(name).disabled = false;
   }
   root.dataset.open = "";
@@ -367,9 +367,9 @@ const live = new Live(keptToken(), {
     toast(sentence(message), true);
     state && panel.take(state, handles); // what was typed and refused is in the message
     state && parts.state(state);
-    if (tool === "solutions" && !solutions.items.length) {
-      choose("select");
-    } else if (linkage.canvas.classList.contains("preview") && tool !== "solutions") {
+    if (tool === "solutions") {
+      solutions.refused() || choose("select");
+    } else if (linkage.canvas.classList.contains("preview")) {
       preview(null);
     }
     if (!state && !start.open && tool !== "draw") {

@@ -65,6 +65,9 @@ export class Linkage {
 
   // Parts with their layers in place of lines, the lowest first, and a pin above its uppermost part; null for lines.
   made(parts) {
+    if (!parts && !this.layers.made.firstChild) {
+      return;
+    }
     const frame = { name: "frame", poses: [[0, 0, 0]] };
     const level = ({ layer }) => layer ?? 0;
     const shapes = [...(parts?.parts || []), ...(parts?.pins || []).map((pin, k) => ({ ...pin, pin: k, name: pin.on }))].sort((a, b) => level(a) - level(b) || ("pin" in a) - ("pin" in b));

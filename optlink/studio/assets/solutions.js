@@ -19,7 +19,7 @@ export class Solutions {
     $("found").hidden = !wanted;
     if (wanted) {
       $("found-by").value = "";
-      this.usual = null;
+      this.usual = this.accepted = null;
       this.show({ items: [] });
       setText($("found-title"), "Finding all exact solutions …");
       this.ask();
@@ -29,11 +29,19 @@ export class Solutions {
   }
 
   ask() {
-    this.actions.ask({ by: $("found-by").value });
+    this.asked = $("found-by").value;
+    this.actions.ask({ by: this.asked });
+  }
+
+  // The ranking is not one: its field has that of the list again. Returns whether there is a list.
+  refused() {
+    $("found-by").value = this.accepted ?? "";
+    return this.items.length > 0;
   }
 
   take(message) {
     if (this.wanted) {
+      this.accepted = this.asked;
       this.usual ??= message.by;
       this.show(message);
       this.look(0);
