@@ -28,7 +28,8 @@ def model_of(design: Design, problem: ProblemFile) -> ReportModel:
         raise InputError("there is no verified design yet", "Release the handle, or wait for the search", key="export")
 
     def stated(one: ProblemFile) -> ProblemFile:
-        return one.override({SECTION: problem.at(SECTION)})
+        raw = {key: value for key, value in {**one.raw, SECTION: problem.at(SECTION)}.items() if value is not None}
+        return one if raw == one.raw else replace(one.with_tables(raw), overrides=one.overrides)
 
     model = report_model_of(design.result)
     cycle = None if model.cycle is None else replace(model.cycle, problem=stated(model.cycle.problem))

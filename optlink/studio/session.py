@@ -365,6 +365,7 @@ class Session:
         if self._settled is not None and self._settled[0] == problem.hash:  # nothing that the result depends on has changed
             self._design = self._settled[1] if self._settled[1].result is not None else self._design
             self._show(self._settled[1], problem, moving=False)
+            self._interruptible(self._prepare)
             return
         near = self._show_near(problem)
 

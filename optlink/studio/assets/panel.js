@@ -12,7 +12,7 @@ const VERDICTS = {
 };
 
 const FINE = 1e-4; // a size below this is written with fewer digits
-const NOUGHT = 1e-9; // and below this as zero [mm, deg or 1]
+const NOUGHT = 1e-7; // and below this as zero [mm, deg or 1]
 const NOTHING = 1e-12; // an objective below this is written as such
 
 export const verdictOf = (status) => VERDICTS[status] || ["○", status, "open"];

@@ -42,7 +42,7 @@ export class Parts {
     const show = Number.isFinite(at) ? [" ", el("button", { class: "inline", text: "Show", onclick: () => this.actions.at(at) })] : [];
     $("parts").hidden = false;
     $("parts").replaceChildren(
-      el("h2", { text: "Parts" }),
+      el("h2", {}, "Parts ", el("small", { text: "sizes in mm" })),
       ...(refused ? [el("p", { class: "alert" }, refused, ...show)] : []),
       ...(parts.length ? [this.table("Layer", "Link", layered, usual.parts, ({ name, layer }) => [el("td", { text: layer ?? "–" }), el("th", { scope: "row" }, this.swatch(name), name)])] : []),
       ...(joints.length ? [this.table(null, "Joint", joints, usual.joints, ({ name }) => [el("th", { scope: "row", text: name })])] : []),
@@ -56,7 +56,7 @@ export class Parts {
 
   table(first, second, rows, usual, heads) {
     const sizes = usual.map(({ key }) => key);
-    const head = el("tr", {}, ...[...(first ? [first] : []), second, ...sizes.map((key) => `${COLUMNS[key]} [mm]`)].map((text) => el("th", { scope: "col", text })));
+    const head = el("tr", {}, ...[...(first ? [first] : []), second, ...sizes.map((key) => COLUMNS[key])].map((text) => el("th", { scope: "col", text })));
     const all = el("tr", {}, ...(first ? [el("td")] : []), el("th", { scope: "row", text: "all" }), ...usual.map((one) => el("td", {}, this.field("all", one))));
     const lines = rows.map((row) => {
       const line = el("tr", {}, ...heads(row), ...row.fields.map((one) => el("td", {}, this.field(row.name, one))));
