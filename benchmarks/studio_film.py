@@ -1,6 +1,6 @@
 """Pictures and the film of the studio for the documentation, taken from a headless Chromium.
 
-python benchmarks/studio_film.py [--out docs/images] [film start poses curve phone]
+python benchmarks/studio_film.py [--out docs/images] [film start poses curve elements parts solutions phone]
 """
 
 from __future__ import annotations
@@ -156,6 +156,29 @@ def elements(page: Page, out: Path) -> None:
     still(page, out / "studio-elements.png")
 
 
+def parts(page: Page, out: Path) -> None:
+    """A shaper as parts, with their layers and sizes."""
+    page.size(1200, 760)
+    page.open("shaper")
+    page.find("#view-parts").click()
+    page.until("return document.querySelectorAll('#parts tr').length")
+    page.run("const c = document.querySelector('#crank'); c.value = 18; c.dispatchEvent(new Event('input'))")
+    page.run("document.querySelector('#parts').scrollIntoView(); document.querySelector('#hint').hidden = true")
+    page.run("document.querySelector('#handles').style.display = 'none'")
+    still(page, out / "studio-parts.png")
+
+
+def solutions(page: Page, out: Path) -> None:
+    """All four-bars of five poses."""
+    page.size(1200, 760)
+    page.open("motion-5-poses")
+    page.find("#tool-solutions").click()
+    page.until("return document.querySelectorAll('#found .candidate').length")
+    page.run("document.querySelectorAll('#found .candidate')[1].focus()")
+    time.sleep(1.0)
+    still(page, out / "studio-solutions.png")
+
+
 def phone(page: Page, out: Path) -> None:
     """A narrow window in dark colours."""
     page.size(400, 860)
@@ -172,6 +195,8 @@ PICTURES: dict[str, Callable[[Page, Path], None]] = {
     "poses": poses,
     "curve": curve,
     "elements": elements,
+    "parts": parts,
+    "solutions": solutions,
     "phone": phone,
 }
 

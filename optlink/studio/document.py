@@ -252,34 +252,46 @@ class History(Generic[Step]):
 
 # Exports of the studio: drawings, tables and the report of the present design, and links that contain the problem.
 
-MEDIA = {"dxf": "image/vnd.dxf", "svg": "image/svg+xml", "html": "text/html", "csv": "text/csv"}
+FORMATS = {
+    "dxf": ("drawing", "image/vnd.dxf"),
+    "svg": ("drawing", "image/svg+xml"),
+    "parts.svg": ("parts", "image/svg+xml"),
+    "parts.dxf": ("parts", "image/vnd.dxf"),
+    "parts.stl": ("parts", "model/stl"),
+    "parts.3mf": ("parts", "model/3mf"),
+    "sheet.pdf": ("sheet", "application/pdf"),
+    "csv": ("motion", "text/csv"),
+    "html": ("", "text/html"),
+}
+"""Endings of the files, with their contents (see `optlink.presentation.export.export.FORMATS`) and media types."""
 
 
-def exported(design: Design, name: str, format: str) -> dict[str, Any]:
-    """Return a file of a design: its name, media type and text.
+def exported(design: Design, document: Document, format: str) -> dict[str, Any]:
+    """Return a file of a design: its name, media type and contents, in base 64.
 
     Raises
     ------
     InputError
-        If the format is unknown, or the design cannot be drawn.
+        If the format is unknown, the design cannot be drawn, or parts of a design that is not valid are asked for.
     """
-    if format not in MEDIA:
-        raise InputError("unknown format", f"One of: {', '.join(MEDIA)}", key="format", value=format)
-    if design.result is None:
-        raise InputError("there is no verified design yet", "Release the handle, or wait for the search", key="export")
-    from optlink.presentation.export.export import export
+    if format not in FORMATS:
+        raise InputError("unknown format", f"One of: {', '.join(FORMATS)}", key="format", value=format)
+    from optlink.presentation.export.export import Options, export
     from optlink.presentation.html.page import page
-    from optlink.presentation.report_model import report_model_of
+    from optlink.studio.parts import model_of
 
-    model = report_model_of(design.result)
-    if format == "html":
-        text = page(model)
-    else:
+    content, media = FORMATS[format]
+    model = model_of(design, document.problem)
+    if content == "parts" and not model.valid:
+        raise InputError(f"{model.verdict}. Nothing was written", "Change the problem until the design is valid", document.file)
+    if content:
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"{name}.{format}"
-            export(model, path)
-            text = path.read_text(encoding="utf-8")
-    return {"name": f"{name}.{format}", "media": MEDIA[format], "text": text}
+            path = Path(folder) / f"{document.name}.{format}"
+            export(model, path, Options(content=content))
+            data = path.read_bytes()
+    else:
+        data = page(model).encode()
+    return {"name": f"{document.name}.{format}", "media": media, "data": base64.b64encode(data).decode()}
 
 
 def deflated(text: str) -> str:

@@ -60,16 +60,26 @@ def joined(document: Document, driver: Any, follower: Any) -> tuple[Document, De
     InputError
         If the four-bar does not pass the poses, or lies outside the bounds.
     """
+    return started(document, design_of(four_bar_of_dyads(document.problem, driver, follower)))
+
+
+def started(document: Document, design: Design) -> tuple[Document, Design]:
+    """Return the document with a design of its problem as the start of its search, and this design.
+
+    Raises
+    ------
+    InputError
+        If the design lies outside the bounds.
+    """
     problem = document.problem
-    design = design_of(four_bar_of_dyads(problem, driver, follower))
     changes: dict[str, object] = {}
     for name in problem.model.free:
         quantity, key, value = problem.model.quantities[name], quantity_key(problem.model, name), design.values[name]
         per, unit = quantity.si_per_unit, quantity.display[1]
         low, high = quantity.bounds
         if not low <= value <= high:
-            message = f"{name} of this four-bar is {value / per:.4g} {unit}, allowed {low / per:.4g} ... {high / per:.4g}"
-            raise InputError(message, "Pick another dyad, or widen the bounds", problem.file, key)
+            message = f"{name} of this linkage is {value / per:.4g} {unit}, allowed {low / per:.4g} ... {high / per:.4g}"
+            raise InputError(message, "Choose another one, or widen the bounds", problem.file, key)
         stated = _stated(problem, key)
         bounds = stated if isinstance(stated, Mapping) else {"bounds": [exact_text(end / per, unit) for end in (low, high)]}
         changes[key] = {**bounds, "start": exact_text(value / per, unit)}

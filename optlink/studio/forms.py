@@ -11,20 +11,22 @@ from optlink.linkage.bodies import FRAME
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.model import Problem
+from optlink.problem.machine.parts import PartsSection
 from optlink.problem.schema import schema_of
 
 DRIVES = ("drive", "drives")
-"""Sections of a machine beside its mechanism that have forms."""
+"""Sections of a machine beside its mechanism and its parts that have forms."""
 Form = dict[str, Any]
 """What a value can be, by `is`: "text", "flag", "list", "table", "names" (a table of any names), "choice" of several of these."""
 
 
 def groups(problem: ProblemFile) -> list[dict[str, Any]]:
-    """Return the tables of a problem that have forms, with their values: the drives, and the tables of its mechanism by name."""
+    """Return the tables of a problem that have forms, with their values: drives, tables of its mechanism by name, and parts."""
     fields: Any = Problem.model_fields
     forms = {key: _form_of(fields[key].annotation) for key in DRIVES}
     linkage = _form_of(type(problem.model.mechanism))["fields"]
     forms |= {f"mechanism.{name}": one for name, one in linkage.items() if one["is"] == "names"}
+    forms["parts"] = _form_of(PartsSection)
     return [{"key": key, "form": form, "value": problem.at(key)} for key, form in forms.items()]
 
 

@@ -22,7 +22,7 @@ STOP_TIMEOUT = 4.0  # s within which a stopped computation must end
 START_TIMEOUT = 60.0  # s, the same for a process that has not finished its imports
 COMPUTATION_TIMEOUT = 600.0  # s for one computation
 MAX_WAITING = 100  # requests
-UNINTERRUPTED = ("save", "link", "export")
+UNINTERRUPTED = ("save", "link", "export", "parts")
 """Requests that wait for the present computation rather than stopping it, and that no later one stops.
 
 A problem whose document is settled, as while a search runs, is saved at once.
@@ -256,7 +256,7 @@ MAX_REFUSED = 2000  # refused messages after which no more are taken
 MAX_REPORTED = 100  # refused messages that are answered one by one
 REQUESTS = (
     *("open", "new", "drag", "set", "edit", "lock", "search", "stop", "undo", "redo"),
-    *("draw", "choose", "dyads", "region", "save", "export", "link"),
+    *("draw", "choose", "dyads", "solutions", "region", "parts", "save", "export", "link"),
 )
 """Types of the requests that a page may send."""
 QUOTA = "Too many requests. Send fewer than 200 a second"

@@ -11,7 +11,7 @@ from optlink.presentation.scene import regions_of
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile, load
-from optlink.studio import design as state, dyads, forms, region
+from optlink.studio import design as state, dyads, forms, parts, region, solutions
 from optlink.studio.design import (
     Design,
     Follower,
@@ -43,6 +43,7 @@ from optlink.studio.document import (
 )
 from optlink.studio.handles import Handle, handles, same_kind
 from optlink.studio.picture import Picture
+from optlink.tasks.exact import exact
 
 if TYPE_CHECKING:
     from optlink.studio.curve import CurveSearch
@@ -75,6 +76,8 @@ class Session:
         self._reached: dict[str, dict[str, Any]] = {}  # how far a handle was feasible, by its name
         self._verdict = ""
         self._last: tuple[Design, ProblemFile] | None = None  # what was shown last
+        self._settled: tuple[str, Design] | None = None  # hash of a problem, and what its search has shown
+        self._exact: Any = None  # the result with the listed exact solutions
         self._begun = 0.0
         self._id = 0
 
@@ -127,7 +130,7 @@ class Session:
         """Open a document, or one with its history: `at` is the index of the present step, `origin` the text that was opened."""
         _ = steps[at].problem  # refuses what is not usable before anything changes
         self._history, self._origin = History(steps, at), steps[at].text if origin is None else origin
-        self._design, self._follower = design, (None, None)
+        self._design, self._follower, self._settled = design, (None, None), None
         self._answer("kept", step="open", steps=[step.message() for step in steps], at=at, origin=self._origin)
         self._reached = {}
         if design is not None:
@@ -180,7 +183,9 @@ class Session:
                 nested = {name: nested}
             if any(references(nested)):
                 raise InputError("a value that is set on the page cannot name a file", "Write it into the problem file", key=key)
-        self._commit(self._document.with_changes(changes))
+        document = self._document.with_changes(changes)
+        parts.check(self._design, self._document.problem, document.problem)
+        self._commit(document)
 
     def _lock(self, request: Mapping[str, Any]) -> None:
         size = _text(request, "size")
@@ -188,6 +193,10 @@ class Session:
             self._commit(self._document.released(size))
             return
         self._commit(self._document.locked(size, None if self._design is None else self._design.values.get(size)))
+
+    def _search(self, request: Mapping[str, Any]) -> None:
+        self._settled = None
+        self._settle()
 
     def _undo(self, request: Mapping[str, Any]) -> None:
         assert self._history is not None
@@ -216,7 +225,11 @@ class Session:
     def _export(self, request: Mapping[str, Any]) -> None:
         if self._last is None:
             raise InputError("there is no design yet", "Wait for the search")
-        self._answer("file", **exported(self._last[0], self._document.name, _text(request, "format")))
+        self._answer("file", **exported(self._last[0], self._document, _text(request, "format")))
+
+    def _parts(self, request: Mapping[str, Any]) -> None:
+        if self._last is not None:
+            self._answer("parts", **parts.document(self._last[0], self._document.problem))
 
     def _draw(self, request: Mapping[str, Any]) -> None:
         from optlink.studio.curve import CurveSearch, curve_problem
@@ -239,17 +252,31 @@ class Session:
 
     def _dyads(self, request: Mapping[str, Any]) -> None:
         """Send the curves of the dyads of four poses, or the partners of a driver; a driver and a follower are a new design."""
-        assert self._history is not None
         driver, follower = request.get("driver"), request.get("follower")
         if follower is None:
             self._answer("dyads", **dyads.curves(self._document.problem, driver))
             return
-        document, self._design = dyads.joined(self._document, driver, follower)
-        self._history.add(document)
-        self._answer("kept", step="add", document=document.message())
-        self._reached = {}
+        self._adopt(*dyads.joined(self._document, driver, follower))
+
+    def _solutions(self, request: Mapping[str, Any]) -> None:
+        """Send all exact solutions, ranked by a quantity; one that is chosen by its number is a new design."""
+        chosen, problem = request.get("chosen"), self._document.problem
+        if chosen is not None:
+            self._adopt(*solutions.chosen(self._document, self._exact, chosen))
+            return
+        by = _text(request, "by", "").strip() or None
+        self._exact = self._interruptible(lambda: exact(problem, by))
+        self._answer("solutions", **solutions.document(self._exact))
+
+    def _adopt(self, document: Document, design: Design) -> None:
+        """Show a validated design that is the start of the search in its document, as a step."""
+        assert self._history is not None
+        if document.text != self._document.text:
+            self._history.add(document)
+            self._answer("kept", step="add", document=document.message())
+        self._design, self._reached, self._settled = design, {}, (document.problem.hash, design)
         self._answer("kept", step="settled")
-        self._show(self._design, document.problem, moving=False)
+        self._show(design, document.problem, moving=False)
 
     # --- designs ------------------------------------------------------------------------------------------------------------
 
@@ -335,6 +362,11 @@ class Session:
         if self._design is not None and not same_parts(problem, self._design.problem):
             self._design = None  # its dimensions and assembly modes are those of other parts
         self._answer("kept", step="settled")  # the document can be saved from now on
+        if self._settled is not None and self._settled[0] == problem.hash:  # nothing that the result depends on has changed
+            self._design = self._settled[1] if self._settled[1].result is not None else self._design
+            self._show(self._settled[1], problem, moving=False)
+            self._interruptible(self._prepare)
+            return
         near = self._show_near(problem)
 
         def progress(share: float) -> None:
@@ -355,7 +387,9 @@ class Session:
         else:
             if near and not design.conflicts:  # the search says less than the optimum near the last design
                 design = replace(design, conclusion=f"{' '.join(near)} {NONE_TEXT}", conflicts=near)
-            self._show(replace(self._design, **verdict(design)), problem, moving=False)
+            design = replace(self._design, **verdict(design))
+            self._show(design, problem, moving=False)
+        self._settled = problem.hash, design
         self._interruptible(self._prepare)
 
     def _show_near(self, problem: ProblemFile) -> tuple[str, ...]:
@@ -450,7 +484,7 @@ class Session:
         }
         if not moving:
             message |= {"tables": forms.groups(document.problem), "names": forms.names(document.problem)}
-            message["dyads"] = dyads.offered(document.problem)
+            message |= {"dyads": dyads.offered(document.problem), "solutions": solutions.offered(document.problem)}
             message["pivots"] = region.shown(document.problem)
         total = time.perf_counter()
         message["seconds"] = {"solve": done - self._begun, "total": total - self._begun}
@@ -487,7 +521,7 @@ _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
     "edit": Session._edit,
     "region": lambda session, request: session._change(region.changes(session._document.problem, request.get("box"))),
     "lock": Session._lock,
-    "search": lambda session, request: session._settle(),
+    "search": Session._search,
     "undo": Session._undo,
     "redo": Session._undo,
     "save": Session.save,
@@ -496,6 +530,8 @@ _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
     "draw": Session._draw,
     "choose": Session._choose,
     "dyads": Session._dyads,
+    "solutions": Session._solutions,
+    "parts": Session._parts,
 }
 
 

@@ -107,6 +107,12 @@ def _ranking(problem: ProblemFile, text: str) -> Goal:
     return goal
 
 
+def listing(problem: ProblemFile) -> type[FiveTargets] | None:
+    """Return what lists the exact solutions of a problem; None for infinitely many, or too many to list."""
+    task = problem.variants()[0].spec
+    return next((kind for kind, suits in (*CHEAP, (PosesAndPoints, poses_and_points)) if suits(task)), None)
+
+
 @typed
 def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
     """Find all linkages that meet the targets of a problem exactly, and tell of each why it is usable or not.
@@ -140,8 +146,7 @@ def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
     (4, 12)
     """
     problem = problem_of(problem)
-    task = problem.variants()[0].spec
-    kind = next((kind for kind, suits in (*CHEAP, (PosesAndPoints, poses_and_points)) if suits(task)), None)
+    kind = listing(problem)
     if kind is None:
         message = (
             "only as many poses, points or timed points as determine a linkage, four poses, and two or three with given pivots "

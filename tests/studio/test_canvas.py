@@ -233,6 +233,9 @@ def test_no_serious_accessibility_fault(page, dark):
     with colours(page.driver, dark=dark):
         for problem in (None, "crank-rocker"):
             page.open(problem)
+            if problem:
+                page.find("#view-parts").click()
+                page.until("return document.querySelectorAll('#parts input').length")
             for width, height in ((1400, 900), (1024, 768), (400, 860)):
                 page.size(width, height)
                 page.run("document.querySelector('#checks details').open = true" if problem else "")
@@ -478,6 +481,52 @@ def test_two_dyads_are_picked_with_the_mouse(page):
     assert page.status() == "verified"
     assert "exactly" in page.text("#conclusion")
     assert page.run("return document.title").startswith("•")  # the file has the four-bar as its start
+
+
+@pytest.mark.slow
+def test_exact_solutions_and_parts_by_keyboard(page):
+    """The list opens, one that is not usable is dashed, a usable one is chosen; its parts are drawn, move, and are changed."""
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    page.open("motion-5-poses")
+
+    def press(*keys: str) -> None:
+        ActionChains(page.driver, duration=0).send_keys(*keys).perform()
+
+    page.run("stage.focus()")
+    press("x")
+    page.until("return document.querySelectorAll('#found .candidate').length === 12")
+    page.run("document.querySelector('#found-why').focus()")
+    dashes = "return getComputedStyle(document.querySelector('[data-body=coupler] path')).strokeDasharray"
+    press(Keys.TAB, Keys.TAB)
+    assert page.run(dashes) != "none"
+    assert "not usable (branch" in page.text("#found-why")
+    assert page.text("#hint") == "Solution 2: not usable"
+    page.size(400, 860)
+    with colours(page.driver, dark=True):
+        assert faults(page.driver) == []
+    tools, tray = (
+        page.run("return document.querySelector(arguments[0]).getBoundingClientRect()", one) for one in ("#tools", "#found")
+    )
+    assert tools["bottom"] <= tray["top"]
+    page.size(1400, 900)
+    page.run("document.querySelector('#found .candidate').focus()")
+    press(Keys.ENTER)
+    page.until("return canvas.dataset.tool === 'select' && !undo.disabled")
+    assert page.status() == "verified"
+    assert page.run(dashes) == "none"
+    page.run("stage.focus()")
+    press("l")
+    page.until("return document.querySelectorAll('.made [data-part]').length === 4")
+    bodies = "['[data-part=coupler]', '[data-body=coupler]'].map((one) => document.querySelector(one).getAttribute('transform'))"
+    place = f"return {bodies}"
+    assert len(set(begun := page.run(place))) == 1
+    page.run("crank.value = '9'; crank.dispatchEvent(new Event('input'))")
+    assert len(set(page.run(place)) - set(begun)) == 1
+    page.find("#parts [aria-label='Width of rocker']").send_keys("31", Keys.ENTER)
+    page.until("return document.querySelector('[data-part=rocker] path').getAttribute('d').includes('A15.5 15.5')")
+    assert page.status() == "verified"
 
 
 @pytest.mark.slow

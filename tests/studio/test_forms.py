@@ -56,8 +56,8 @@ def test_every_table_of_a_linkage_has_a_form_with_the_keys_of_its_model():
     assert forms.names(problem) | {"A": "joint", "crank": "body", "frame": "body"} == forms.names(problem)
 
 
-def test_a_four_bar_has_the_forms_of_its_drives():
-    assert [one["key"] for one in forms.groups(optlink.load("crank-rocker"))] == ["drive", "drives", "mechanism.points"]
+def test_a_four_bar_has_the_forms_of_its_drives_points_and_parts():
+    assert [one["key"] for one in forms.groups(optlink.load("crank-rocker"))] == ["drive", "drives", "mechanism.points", "parts"]
 
 
 def test_a_change_keeps_the_comments_and_is_read_as_on_the_command_line(page: Page) -> None:

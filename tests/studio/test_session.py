@@ -465,7 +465,7 @@ def test_a_drawn_curve_gets_four_bars_and_a_drawing() -> None:
     for format in ("dxf", "svg", "csv", "html"):
         answer = page.ask("export", format=format)[0]
         assert answer["name"] == f"drawn-curve.{format}"
-        assert len(answer["text"]) > 1000
+        assert len(answer["data"]) > 1000
 
 
 @pytest.mark.slow

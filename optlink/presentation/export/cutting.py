@@ -55,11 +55,11 @@ def cutting_svg(parts: PartSet, title: str, path: Path) -> None:
     mark: list[str] = []
     for one in sheet.parts:
         cut.append(f'<g id="{escape(one.part.name)}">')
-        cut.append(f'<path d="{_path(_moved(one.part.outline, one.shift))}"/>')
+        cut.append(f'<path d="{path_data(_moved(one.part.outline, one.shift))}"/>')
         for opening in one.part.openings:
             x, y = opening.ends[0] + one.shift
             circle = f'<circle cx="{_number(x)}" cy="{_number(-y)}" r="{_number(0.5 * opening.diameter)}"/>'
-            cut.append(circle if opening.round else f'<path d="{_path(_moved(opening.outline, one.shift))}"/>')
+            cut.append(circle if opening.round else f'<path d="{path_data(_moved(opening.outline, one.shift))}"/>')
         cut.append("</g>")
         for (x, y), (u, v) in _crosses(one):
             mark.append(f'<path d="M{_number(x)} {_number(-y)} L{_number(u)} {_number(-v)}"/>')
@@ -98,7 +98,7 @@ def _number(value: float) -> str:
     return f"{float(value):z.9f}".rstrip("0").rstrip(".") or "0"
 
 
-def _path(outline: Sequence[Vertex]) -> str:
+def path_data(outline: Sequence[Vertex]) -> str:
     """Return a closed outline as path data; the y axis of SVG points down."""
     text = f"M{_number(outline[0][0])} {_number(-outline[0][1])}"
     for (x, y, bulge), (u, v, _) in zip(outline, (*outline[1:], outline[0]), strict=True):

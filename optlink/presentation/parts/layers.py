@@ -42,6 +42,11 @@ class Collision:
     overlap: float
     at: float
 
+    @property
+    def degrees(self) -> float:
+        """The crank angle [deg]."""
+        return math.degrees(math.fmod(self.at, TURN))
+
 
 class Stack:
     """The search for layers."""
@@ -52,6 +57,7 @@ class Stack:
         self.cores = {name: placed(self.motion, name, convex(part)) for name, part in parts.parts.items()}
         self.places = {pin.name: placed(self.motion, pin.on, pin.at[None]) for pin in parts.pins}
         self.gaps: dict[tuple[str, str], Gap] = {}
+        self.worst: Collision | None = None  # that remains, if there are no layers
         self.slack = CLEARANCE * min(one.diameter for part in parts.parts.values() for one in part.openings)
 
     def layers(self) -> dict[str, int]:
@@ -68,9 +74,9 @@ class Stack:
             if found:
                 return found
         tries = (self._placed({FRAME: 0}, count + 1, allowed) for allowed in itertools.count(1))
-        worst = min(self.collisions(next(filter(None, tries))), key=lambda one: one.overlap)
+        self.worst = worst = min(self.collisions(next(filter(None, tries))), key=lambda one: one.overlap)
         message = f"the links cannot be stacked: {worst.one} and {worst.other} collide at a crank angle of"
-        raise InputError(f"{message} {math.degrees(math.fmod(worst.at, TURN)):.4g} deg", REMEDY, self.parts.file)
+        raise InputError(f"{message} {worst.degrees:.4g} deg", REMEDY, self.parts.file)
 
     def room(self, pin: Pin, layers: Mapping[str, int]) -> float:
         """Return the radius [mm] that is free around a pin between its parts, where others have spacers."""

@@ -2,7 +2,7 @@
 import { Background } from "./background.js";
 import { dropDown, keyboard, takeFiles } from "./commands.js";
 import { Curve } from "./curve.js";
-import { $, download, hint, sentence, setText, svg, toast } from "./dom.js";
+import { $, bytes, download, hint, sentence, setText, svg, toast } from "./dom.js";
 import { Dyads } from "./dyads.js";
 import { Elements } from "./elements.js";
 import { Handles } from "./handles.js";
@@ -11,8 +11,10 @@ import { Linkage } from "./linkage.js";
 import { embedded, keptToken, Live } from "./live.js";
 import { Motion } from "./motion.js";
 import { Panel, verdictOf } from "./panel.js";
+import { Parts } from "./parts.js";
 import { Region } from "./region.js";
 import { guide, Search } from "./search.js";
+import { Solutions } from "./solutions.js";
 import { Start } from "./start.js";
 import "./theme.js";
 import { extent, round125, View } from "./view.js";
@@ -31,7 +33,7 @@ let handles = [];
 let stale = false; // something is to be drawn
 const references = new Map(); // positions at which handles lie on their joints
 const view = new View(canvas, () => redraw());
-view.covered = () => ($("tray").hidden ? 0 : $("tray").offsetHeight);
+view.covered = () => Math.max($("tray").offsetHeight, $("found").offsetHeight);
 const linkage = new Linkage(canvas, view);
 const overlay = svg("g", { id: "overlay" });
 
@@ -126,6 +128,21 @@ const curve = new Curve(overlay, view, {
   hint,
 });
 const dyads = new Dyads(overlay, view, { ask: (fields) => ask("dyads", fields), hint });
+const solutions = new Solutions({
+  ask: (fields) => ask("solutions", fields),
+  choose: (chosen) => ask("solutions", { chosen }),
+  preview: (scene, usable) => {
+    preview(scene, usable);
+    if (!scene) {
+      motion.stop();
+    }
+    if (linkage.scene) {
+      view.fit(extent(linkage.scene, linkage.targets));
+    }
+  },
+  hint,
+  close: () => choose("select"),
+});
 const region = new Region(overlay, view, (box) => ask("region", { box }));
 const background = new Background(linkage.layers.below, overlay, view, choose);
 const motion = new Motion((at, position) => {
@@ -140,6 +157,18 @@ const panel = new Panel({
 });
 
 const elements = new Elements((tables) => ask("edit", { tables }));
+const parts = new Parts({
+  ask: () => live.send("parts"),
+  edit: (tables) => ask("edit", { tables }),
+  section: () => elements.groups.find(({ key }) => key === "parts")?.value,
+  file: (format) => ask("export", { format }),
+  colour: (name) => linkage.scene?.bodies.find((one) => one.name === name)?.colour ?? "#444444",
+  at: (angle) => {
+    motion.stop();
+    motion.put(motion.nearest(angle));
+  },
+  drawn: (message) => linkage.made(message),
+});
 
 // What is drawn is not verified from the first movement on, also where the answer takes its time.
 function drag(fields, stamp) {
@@ -180,12 +209,13 @@ function preview(scene, valid = false) {
   canvas.classList.toggle("preview", Boolean(scene));
   canvas.classList.toggle("valid", valid);
   if (scene) {
-    linkage.take(scene, {});
+    linkage.take(scene, tool === "solutions" ? state.targets : {});
     motion.take(scene);
     motion.play();
   } else if (state?.scene) {
     linkage.take(state.scene, state.targets);
     motion.take(state.scene);
+    parts.state(state);
   } else {
     motion.stop();
     linkage.clear();
@@ -235,12 +265,14 @@ function take(next) {
   }
   if (!next.moving) {
     $("tool-dyads").hidden = !next.dyads;
+    $("tool-solutions").hidden = !next.solutions;
     $("tool-region").hidden = !next.pivots;
     region.take(next.pivots);
-    if (tool === "dyads" || tool === "region") {
+    if (["dyads", "solutions", "region"].includes(tool)) {
       choose("select");
     }
   }
+  parts.state(next);
   knobs.infeasible = next.status === "infeasible" || next.status === "failed";
   knobs.take(handles);
   panel.take(state, handles);
@@ -250,7 +282,7 @@ function take(next) {
   titled(keep(next));
   $("undo").disabled = !undo;
   $("redo").disabled = !redo;
-  for (const name of ["save", "export", "share", "search"]) {
+  for (const name of ["save", "export", "share", "search", "view-parts"]) {
     $(name).disabled = false;
   }
   root.dataset.open = "";
@@ -308,10 +340,12 @@ const live = new Live(keptToken(), {
   },
   progress: ({ fraction, text }) => search.take(fraction, text),
   dyads: (message) => (busy(false), dyads.take(message)),
+  solutions: (message) => (busy(false), solutions.take(message)),
+  parts: (message) => parts.take(message),
   candidates: (message) => (busy(false), curve.candidates(message)),
-  file({ name, media, text, files, changed_on_disk: stale }) {
+  file({ name, media, text, data, files, changed_on_disk: stale }) {
     busy(false);
-    download(name, media, text);
+    download(name, media, data ? bytes(data) : text);
     toast(`${name} saved in your downloads.${files?.length ? ` It reads ${files.join(", ")}: keep the files together.` : ""}${stale ? ` ${name} has changed on disk since it was opened: the saved file does not contain that change.` : ""}`, stale);
     if (media === "application/toml" && state) {
       saved();
@@ -332,7 +366,10 @@ const live = new Live(keptToken(), {
     }
     toast(sentence(message), true);
     state && panel.take(state, handles); // what was typed and refused is in the message
-    if (linkage.canvas.classList.contains("preview")) {
+    state && parts.state(state);
+    if (tool === "solutions") {
+      solutions.refused() || choose("select");
+    } else if (linkage.canvas.classList.contains("preview")) {
       preview(null);
     }
     if (!state && !start.open && tool !== "draw") {
@@ -381,7 +418,7 @@ const search = new Search({
 // --- tools ------------------------------------------------------------------------------------------------------------------------
 
 let tool = "select";
-const TOOLS = ["select", "draw", "dyads", "region", "back"];
+const TOOLS = ["select", "draw", "dyads", "solutions", "region", "back"];
 const HINTS = { draw: "Draw a curve in one stroke: end at its start to close it.", region: "Draw a box: all ground pivots will stay inside.", back: "Drag to move the background. Set its scale by two clicks and a length." };
 function choose(name) {
   guide.done();
@@ -396,6 +433,7 @@ function choose(name) {
   }
   hint(HINTS[name] || null);
   dyads.open(name === "dyads");
+  solutions.open(name === "solutions");
 }
 for (const name of TOOLS) {
   $(`tool-${name}`).addEventListener("click", () => choose(tool === name ? "select" : name));

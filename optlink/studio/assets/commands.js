@@ -60,7 +60,8 @@ const KEYS = [
   ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo"],
   ["Ctrl+S, Ctrl+O", "save, open"],
   ["+, −, 0", "zoom in, out, fit"],
-  ["V, D, P, R, B", "select, draw a curve, pick dyads of four poses, region of the pivots, background"],
+  ["V, D, P, X, R, B", "select, draw a curve, pick dyads of four poses, list exact solutions, region of the pivots, background"],
+  ["L", "links as parts with their layers, or as lines"],
   ["Esc", "give up a drag, close"],
   ["Wheel, two fingers", "zoom; drag the empty canvas to pan"],
 ];
@@ -71,7 +72,7 @@ $("keys-text").append(
 $("help").addEventListener("click", () => $("keys").showModal());
 
 const COMMANDS = { z: "undo", y: "redo", Z: "redo", s: "save", o: "open" };
-const SINGLE = { v: "tool-select", d: "tool-draw", p: "tool-dyads", r: "tool-region", b: "tool-back", "+": "zoom-in", "=": "zoom-in", "-": "zoom-out", 0: "zoom-fit", "?": "help", " ": "play" };
+const SINGLE = { v: "tool-select", d: "tool-draw", p: "tool-dyads", x: "tool-solutions", l: "view-parts", r: "tool-region", b: "tool-back", "+": "zoom-in", "=": "zoom-in", "-": "zoom-out", 0: "zoom-fit", "?": "help", " ": "play" };
 
 // Keys of the page. `before()` runs before a command; `single()`: whether keys without Ctrl count; `escape()`.
 export function keyboard({ before, single, escape }) {

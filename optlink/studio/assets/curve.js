@@ -101,35 +101,13 @@ export class Curve {
   }
 
   item(k) {
-    const button = el(
-      "button",
-      { class: "candidate" },
-      svg("svg", { viewBox: "0 0 100 76", "aria-hidden": "true" }, svg("path", { class: "drawn" }), svg("path", { class: "fit" }), svg("g", { class: "links" })),
-      el("b"),
-      el("small")
-    );
-    const node = el("div", { role: "listitem" }, button);
-    const look = () => ((this.pointed = true), this.look(this.items[k]));
-    button.addEventListener("pointerenter", look);
-    button.addEventListener("focus", look);
-    button.addEventListener("click", () => this.choose(k));
-    return node;
+    return candidate(() => ((this.pointed = true), this.look(this.items[k])), () => this.choose(k));
   }
 
   fill(node, one, k) {
     const button = node.firstChild;
     const [plot, error, note] = button.children;
-    const links = standing(one.scene);
-    const place = fitting([...this.points, ...one.curve.filter(Boolean), ...links.flatMap(({ line }) => line)]);
-    plot.children[0].setAttribute("d", pathOf(this.points.map(place), this.closed));
-    plot.children[1].setAttribute("d", pathOf(one.curve.map((at) => at && place(at))));
-    plot.children[2].replaceChildren(
-      ...links.map(({ line, closed, own }) => {
-        const path = svg("path", { d: pathOf(line.map(place), closed), class: closed ? "plate" : "bar" });
-        path.style.setProperty("--own", colour(own));
-        return path;
-      })
-    );
+    thumbnail(plot, one.scene, this.points, this.closed, one.curve);
     setText(error, quantity(one.error, one.unit, 3));
     setText(note, one.valid ? "valid" : "not valid");
     button.classList.toggle("bad", !one.valid);
@@ -157,6 +135,28 @@ export class Curve {
     $("tray").hidden = true;
     this.draw();
   }
+}
+
+// An entry of a list of linkages: its picture, two lines of text; `look()` when it is pointed at, `choose()` when it is clicked.
+export function candidate(look, choose) {
+  const plot = svg("svg", { viewBox: "0 0 100 76", "aria-hidden": "true" }, svg("path", { class: "drawn" }), svg("path", { class: "fit" }), svg("g", { class: "links" }));
+  const button = el("button", { class: "candidate", onclick: choose, onpointerenter: look, onfocus: look }, plot, el("b"), el("small"));
+  return el("div", { role: "listitem" }, button);
+}
+
+// Draws a linkage small, at its first position, with target points and the curve that its point draws.
+export function thumbnail(plot, scene, points = [], closed = false, curve = []) {
+  const links = standing(scene);
+  const place = fitting([...points, ...curve.filter(Boolean), ...links.flatMap(({ line }) => line)]);
+  plot.children[0].setAttribute("d", pathOf(points.map(place), closed));
+  plot.children[1].setAttribute("d", pathOf(curve.map((at) => at && place(at))));
+  plot.children[2].replaceChildren(
+    ...links.map(({ line, closed: whole, own }) => {
+      const path = svg("path", { d: pathOf(line.map(place), whole), class: whole ? "plate" : "bar" });
+      path.style.setProperty("--own", colour(own));
+      return path;
+    })
+  );
 }
 
 const corners = ([x0, y0, x1, y1]) => [

@@ -86,6 +86,8 @@ export const setText = (node, text) => {
   }
 };
 
+export const bytes = (text) => Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0)); // of base 64
+
 export function download(name, media, content) {
   const address = URL.createObjectURL(new Blob([content], { type: media }));
   const anchor = el("a", { href: address, download: name });

@@ -48,8 +48,8 @@ export class Elements {
     this.groups = [];
     this.discard();
     const bar = el("p", { class: "unapplied", hidden: true }, el("span"), el("button", { text: "Discard", onclick: () => (this.discard(), this.render()) }));
-    const add = el("select", { id: "add", "aria-label": "Add an element or a drive", onchange: () => this.add(add.value) });
-    $("elements").append(el("div", { class: "head" }, el("h2", { text: "Elements and drives" }), add), bar, el("div"), el("datalist", { id: "names" }));
+    const add = el("select", { id: "add", "aria-label": "Add an element, a drive or parts", onchange: () => this.add(add.value) });
+    $("elements").append(el("div", { class: "head" }, el("h2", { text: "Elements, drives and parts" }), add), bar, el("div"), el("datalist", { id: "names" }));
   }
 
   discard() {

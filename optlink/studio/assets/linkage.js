@@ -34,7 +34,7 @@ export class Linkage {
     this.canvas = canvas;
     this.world = svg("g", { id: "world" });
     this.layers = {};
-    for (const name of ["below", "regions", "ground", "traces", "curve", ...LAYERS, "springs"]) {
+    for (const name of ["below", "regions", "ground", "traces", "curve", ...LAYERS, "springs", "made"]) {
       this.world.append((this.layers[name] = svg("g", { class: `layer ${name}` })));
     }
     this.world.insertBefore(this.layers.springs, this.layers.bar);
@@ -46,6 +46,7 @@ export class Linkage {
     this.scene = null;
     this.at = 0; // position, fraction of the positions allowed
     this.bodies = new Map();
+    this.radii = new Map(); // of pins, by joint [mm]
   }
 
   // A new scene: outlines that were left out are those of the last one.
@@ -57,11 +58,42 @@ export class Linkage {
     this.scene = { ...old, ...scene };
     this.targets = targets || {};
     this.unit = null;
+    this.made(null); // until the parts of this scene come
     this.build();
     this.place();
   }
 
+  // Parts with their layers in place of lines, the lowest first, and a pin above its uppermost part; null for lines.
+  made(parts) {
+    if (!parts && !this.layers.made.firstChild) {
+      return;
+    }
+    const frame = { name: "frame", poses: [[0, 0, 0]] };
+    const level = ({ layer }) => layer ?? 0;
+    const shapes = [...(parts?.parts || []), ...(parts?.pins || []).map((pin, k) => ({ ...pin, pin: k, name: pin.on }))].sort((a, b) => level(a) - level(b) || ("pin" in a) - ("pin" in b));
+    for (const key of [...this.bodies.keys()].filter((one) => one.startsWith("made "))) {
+      this.bodies.delete(key);
+    }
+    this.canvas.classList.toggle("made", shapes.length > 0);
+    this.canvas.classList.toggle("unstacked", Boolean(parts?.refused));
+    this.layers.made.replaceChildren();
+    this.radii = new Map((parts?.pins || []).map(({ joint, diameter }) => [joint, diameter / 2]));
+    for (const { name, path, pin, at, diameter, layer } of shapes) {
+      const body = name === frame.name ? frame : this.scene?.bodies.find((one) => one.name === name);
+      if (body) {
+        const words = `${name}${layer === null ? "" : `, layer ${layer}`}`;
+        const shape = path ? svg("path", { d: path, transform: "scale(1 -1)" }) : svg("circle", { cx: at[0], cy: at[1], r: diameter / 2 });
+        const node = svg("g", path ? { "data-part": name } : { class: "pinned" }, shape, ...(path ? [svg("title", { text: words })] : []));
+        node.style.setProperty("--own", body === frame ? "var(--c444444, #444444)" : colour(body.colour));
+        this.layers.made.append(node);
+        this.bodies.set(`made ${path ? name : `pin ${pin}`}`, [node, body]);
+      }
+    }
+    this.pose();
+  }
+
   clear() {
+    this.made(null);
     this.scene = null;
     this.bodies.clear();
     for (const layer of [...Object.values(this.layers).slice(1), this.regions, this.joints, this.names, this.marks]) {
@@ -307,14 +339,18 @@ export class Linkage {
 
   pose() {
     const { scene, view } = this;
+    if (!scene) {
+      return;
+    }
     const [low, high, share] = this.between();
     for (const [node, body] of this.bodies.values()) {
-      const at = this.mixed(body.poses[low], body.poses[high], share);
+      const [before, after] = [body.poses[low] ?? body.poses[0], body.poses[high] ?? body.poses[0]];
+      const at = this.mixed(before, after, share);
       if (!at || at[0] === null) {
         node.setAttribute("visibility", "hidden");
         continue;
       }
-      const [a, b] = [body.poses[low][2], body.poses[high][2]];
+      const [a, b] = [before[2], after[2]];
       const turn = a + share * (((((b - a) % 360) + 540) % 360) - 180);
       node.setAttribute("transform", `translate(${at[0]} ${at[1]}) rotate(${turn})`);
       node.setAttribute("visibility", "inherit");
@@ -340,7 +376,8 @@ export class Linkage {
         const joints = taken.flatMap((way) => [way - CLEAR / 2, way + CLEAR / 2]); // a name there would seem to be theirs
         names[k].side = side(names[k].side, [...this.directions(node.dataset.point, low), ...joints]);
         const turn = names[k].side * RAD;
-        const [dx, dy] = [(9.5 + 3.6 * node.dataset.point.length) * Math.cos(turn), 4 - 18 * Math.sin(turn)];
+        const pin = (this.radii.get(node.dataset.point) || 0) * view.scale;
+        const [dx, dy] = [(9.5 + pin + 3.6 * node.dataset.point.length) * Math.cos(turn), 4 - (18 + pin) * Math.sin(turn)];
         names[k].setAttribute("transform", `translate(${(x + dx).toFixed(2)} ${(y + dy).toFixed(2)})`);
       }
     });

@@ -47,6 +47,12 @@ export class Motion {
     return this.closed ? Math.min(apart, this.last - apart) : apart;
   }
 
+  // Position nearest to a crank angle [deg].
+  nearest(angle) {
+    const away = this.drive.values.map((value) => Math.abs(((((value - angle) % 360) + 540) % 360) - 180));
+    return away.indexOf(Math.min(...away));
+  }
+
   put(at) {
     this.at = Math.min(Math.max(at, 0), this.last);
     this.write();

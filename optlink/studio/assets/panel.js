@@ -11,6 +11,8 @@ const VERDICTS = {
   failed: ["✗", "No solution", "bad"],
 };
 
+const FINE = 1e-4; // a size below this is written with fewer digits
+const NOUGHT = 1e-7; // and below this as zero [mm, deg or 1]
 const NOTHING = 1e-12; // an objective below this is written as such
 
 export const verdictOf = (status) => VERDICTS[status] || ["○", status, "open"];
@@ -163,7 +165,8 @@ export class Panel {
     const [, cell, bounds, last] = row.children;
     const [value, unit] = cell.children;
     value.readOnly = !variable.key;
-    fill(value, number(variable.value, 6), variable.unit);
+    const size = Math.abs(variable.value);
+    fill(value, size < NOUGHT ? "0" : number(variable.value, size < FINE ? 4 : 6), variable.unit);
     setText(unit, unitText(variable.unit || ""));
     const [low, high] = [variable.lower, variable.upper];
     row.classList.toggle("locked", Boolean(variable.locked));

@@ -10,8 +10,8 @@ from optlink.problem.document import Number
 
 DEFECTS = {
     "circuit": "the positions lie on two circuits, between which the linkage must be taken apart",
-    "branch": "they lie on both sides of a dead centre of the follower",
-    "order": "the crank passes them in another order",
+    "branch": "the positions lie on both sides of a dead centre of the follower",
+    "order": "the crank passes the positions in another order",
 }
 """Defects of a linkage that meets all targets, and their meaning."""
 BY_TRANSMISSION = "transmission angle"
@@ -79,19 +79,7 @@ class ExactSolutions:
     @property
     def sentence(self) -> str:
         """How many solutions there are, and how many of them are usable."""
-        note = f"; {self.note}" * bool(self.note)
-        if self.special:
-            return f"{self.task}: {self.special}{note}"
-        proof = "certified" if self.certified == self.real else f"{self.certified} of them certified"
-        all_of_them = f"{self.roots} {self.counted}"
-        roots = f"{self.real} of {all_of_them} are real ({proof})" if self.real else f"none of the {all_of_them} is real"
-        missing = "" if self.complete else f", {self.roots - self.certified - self.complex} not found or not separated"
-        sliders = f", {self.sliders} of them a slider or of no length" if self.sliders else ""
-        count = len(self.solutions)
-        found = f"{count} {self.linkage}{'s' * (count != 1)}, {self.usable} usable" if count else f"no {self.linkage}"
-        if self.either and count:
-            found = f"{count // 2} four-bar{'s' * (count > 2)}, {count} with either link as the crank, {self.usable} usable"
-        return f"{self.task}: {roots}{missing}{sliders}; {found}{self._others}{note}"
+        return counts(self, self._others)
 
     @property
     def reasons(self) -> dict[str, int]:
@@ -106,6 +94,23 @@ class ExactSolutions:
         left = len(self.reasons) - MOST_CAUSES
         more = f" and {left} more reasons" if left > 0 else ""
         return f"; reasons of the others: {listed}{more}" if listed else ""
+
+
+def counts(found: ExactSolutions, others: str = "") -> str:
+    """Return how many solutions there are, and how many of them are usable, with words about the `others`."""
+    note = f"; {found.note}" * bool(found.note)
+    if found.special:
+        return f"{found.task}: {found.special}{note}"
+    proof = "certified" if found.certified == found.real else f"{found.certified} of them certified"
+    all_of_them = f"{found.roots} {found.counted}"
+    roots = f"{found.real} of {all_of_them} are real ({proof})" if found.real else f"none of the {all_of_them} is real"
+    missing = "" if found.complete else f", {found.roots - found.certified - found.complex} not found or not separated"
+    sliders = f", {found.sliders} of them a slider or of no length" if found.sliders else ""
+    count = len(found.solutions)
+    listed = f"{count} {found.linkage}{'s' * (count != 1)}, {found.usable} usable" if count else f"no {found.linkage}"
+    if found.either and count:
+        listed = f"{count // 2} four-bar{'s' * (count > 2)}, {count} with either link as the crank, {found.usable} usable"
+    return f"{found.task}: {roots}{missing}{sliders}; {listed}{others}{note}"
 
 
 def _cause(reason: str) -> str:
