@@ -293,7 +293,7 @@ def _sweep(name: str, *vary: str) -> Found:
 
     study = sweep(optlink.load(name), list(vary), workers=1)
     values = np.asarray(study.columns[next(title for title in study.columns if title.startswith("objective"))], dtype=float)
-    return {"objectives": values.tolist(), "valid": study.complete, "starts": study.searched, "told": [study.valid]}
+    return {"objectives": values.tolist(), "valid": study.complete, "starts": study.searched_points, "told": [study.valid]}
 
 
 def _pareto(name: str, objectives: str, points: int) -> Found:

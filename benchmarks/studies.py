@@ -75,7 +75,7 @@ def rows() -> list[Row]:
     for _ in range(RUNS):  # in turn
         study, wall = swept(SIDE, workers=1)
         walls.append(wall)
-        each.append(study.cpu / SIDE**2)
+        each.append(study.processor_seconds / SIDE**2)
         alone.append(taken(cold, time.process_time) / COLD)
     ours, theirs, wall = (statistics.median(values) for values in (each, alone, walls))
     result = [
@@ -128,9 +128,9 @@ def optima(side: int = FEW, searched: int = SEARCHED) -> list[Row]:
         theirs = taken(partial(alone, files), time.process_time) / searched
         study = sweep(problem, vary, workers=1)
         assert study.complete
-        ours = study.cpu / grid.count
+        ours = study.processor_seconds / grid.count
         what = f"sweep of {grid.count:,} optima of {name}: processor time each, against a search of one point"
-        note = f"{' and '.join(axes)}; {study.searched} points of the sweep searched"
+        note = f"{' and '.join(axes)}; {study.searched_points} points of the sweep searched"
         figures = {"ours": ours, "theirs": theirs}
         result.append(Row(what, f"{1e3 * ours:.1f} ms", f"{1e3 * theirs:.0f} ms", theirs / ours, ">= 5", note, figures=figures))
     return result
@@ -143,7 +143,8 @@ def million(engine: str = "local") -> None:
     for side in (round(MILLION / 10**0.5), MILLION):
         study, wall = swept(side, workers=2, engine=engine)
         own, workers = (resource.getrusage(who).ru_maxrss / 1024 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-        found = f"{side**2:,} optima: {wall:.1f} s on 2 processes ({engine}), {study.cpu / (2.0 * wall):.0%} of it computing"
+        share = study.processor_seconds / (2.0 * wall)
+        found = f"{side**2:,} optima: {wall:.1f} s on 2 processes ({engine}), {share:.0%} of it computing"
         print(f"{found}, the start included; peak memory {own:.0f} MB, of a worker {workers:.0f} MB", flush=True)
 
 

@@ -65,6 +65,8 @@ def unpacked(state: Mapping[str, Any]) -> dict[str, Any]:
 class BufferedFunction:
     """A casadi function on numpy arrays without copies through casadi matrices (ten times less overhead per call).
 
+    Programmes of several results share it, so that one thread at a time uses its arguments and results.
+
     Raises
     ------
     RuntimeError
@@ -74,6 +76,7 @@ class BufferedFunction:
     def __init__(self, function: Any) -> None:
         self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
         self._results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+        self._one_thread = threading.Lock()
         self._buffer, self._evaluate = function.buffer()
         for i, argument in enumerate(self._arguments):
             self._buffer.set_arg(i, memoryview(argument))  # type: ignore[arg-type]
@@ -82,12 +85,13 @@ class BufferedFunction:
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """Evaluate the function; matrices are returned flat, column by column."""
-        for own, given in zip(self._arguments, arguments, strict=True):
-            own[:] = given
-        self._evaluate()
-        if self._buffer.ret():
-            raise RuntimeError("the function failed")
-        return [result.copy() for result in self._results]
+        with self._one_thread:
+            for own, given in zip(self._arguments, arguments, strict=True):
+                own[:] = given
+            self._evaluate()
+            if self._buffer.ret():
+                raise RuntimeError("the function failed")
+            return [result.copy() for result in self._results]
 
 
 def dense_function(inputs: list[Any], outputs: list[Any]) -> Any:

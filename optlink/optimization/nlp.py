@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, Self
 
@@ -141,6 +141,15 @@ class NLP:
         """Return the same programme with parameters of its own; the compiled functions are shared."""
         other = object.__new__(type(self))
         vars(other).update(vars(self) | {"p": self.p.copy()})
+        return other
+
+    def again(self, **numbers: Any) -> Self:
+        """Return the programme with other parameters, bounds and start, and the compiled functions of this one."""
+        other, kinds = object.__new__(type(self)), (BufferedFunction, casadi.Function)
+        names = {one.name for one in fields(self)}
+        vars(other).update({name: v for name, v in vars(self).items() if name in names or isinstance(v, kinds)} | numbers)
+        compiled = ((key, v) for key, v in self.cache.items() if isinstance(v[0] if isinstance(v, tuple) else v, kinds))
+        vars(other)["cache"] = dict(compiled)
         return other
 
     def bounded(self, x_low: Array, x_high: Array) -> Self:

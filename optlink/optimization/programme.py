@@ -9,7 +9,7 @@ value is exceeded.
 import functools
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -31,8 +31,9 @@ from optlink.optimization.courses import (
     rows_below_level,
 )
 from optlink.optimization.mapped_terms import MappedTerms
-from optlink.optimization.nlp import NLP, Variable, boxed, scaled_variable
+from optlink.optimization.nlp import NLP, Variable, boxed
 from optlink.optimization.output_derivatives import traced_residuals
+from optlink.optimization.parameters import SPAN, constant_values, path_variable, reused, target_constants
 from optlink.optimization.terms import (
     DEGREES,
     PLAIN,
@@ -54,10 +55,6 @@ from optlink.symbolic import symbols_in_numpy
 from optlink.units import DISPLAYED
 
 EXACT = 1e-10  # share of the size of the curve: residual that counts as zero
-SPAN = "requirement.span"
-"""Name of the parameter that is the crank rotation of a law."""
-TARGET = "target "
-"""Beginning of the names of the parameters that are components of the targets."""
 SMOOTHED_BY = "smoothing"
 ROOM = 1.01  # factor on the least difference of slow and quick stroke that a programme enforces
 FINE = 73  # positions through which the angle of a body that swings is followed
@@ -72,16 +69,6 @@ def angle_name(index: int, suffix: str = "") -> str:
     return f"crank angle of point {index + 1}{suffix}"
 
 
-def path_variable(problem: DesignProblem, name: str) -> Variable:
-    """Return the scaling of a quantity: lengths by the size of the problem, coordinates on the frame from the curve's centre."""
-    if not problem.parts:
-        periodic = problem.quantities[name].kind == "angle"
-        return scaled_variable(problem, name, problem.longest, periodic=periodic)
-    axis = name.rpartition(".")[2] if problem.quantities[name].kind == "coordinate" else ""
-    origin = problem.centre["xy".index(axis)] if axis in ("x", "y") else 0.0
-    return scaled_variable(problem, name, problem.size, periodic=problem.is_periodic(name), origin=origin)
-
-
 def build(problem: DesignProblem, direction: int = 1, *, movable: bool = False, terms: TermCourse | None = None) -> NLP:
     """Build the nonlinear programme of a problem with definite assembly modes.
 
@@ -92,6 +79,8 @@ def build(problem: DesignProblem, direction: int = 1, *, movable: bool = False, 
     """
     if terms is None and (problem.goals or problem.bounds):
         terms = TermCourse(problem, None)
+    if terms is None and not movable:
+        return reused(problem, direction, lambda: _Builder(problem, direction, False, None).nlp())
     return _Builder(problem, direction, movable, terms).nlp()
 
 
@@ -697,36 +686,6 @@ class _Positions:
         """The function, its crank angles, other inputs and symbols; see `MappedTerms`."""
         angles, senses, z = zip(*self.places, strict=True)
         return self.function, casadi.SX(casadi.horzcat(*angles)), casadi.SX(casadi.horzcat(*senses)), casadi.horzcat(*z)
-
-
-# --- parameters --------------------------------------------------------------------------------------------------------------
-
-
-def target_constants(problem: DesignProblem) -> list[Variable]:
-    """Return the components of the targets as parameters: each row of `data.columns`, and the length of a radian of poses."""
-    size = problem.size
-    constants = []
-    for k in range(len(problem.data.columns)):
-        for axis, origin in zip("xy", problem.centre, strict=True):
-            constants.append(Variable(f"{TARGET}{k}.{axis}", size, millimetres(size, origin), origin))
-        if problem.requirement.kind == "motion":
-            constants += [Variable(f"{TARGET}{k}.{part}", 1.0, PLAIN) for part in ("cosine", "sine")]
-    if problem.requirement.kind == "motion":
-        constants.append(Variable(f"{TARGET}radian", size, millimetres(size)))
-    return constants
-
-
-def constant_values(problem: DesignProblem, constants: Sequence[Variable]) -> list[Any]:
-    """Return the scaled values of `NLP.constants`: fixed quantities, tolerances, the span of a law, components of the targets.
-
-    They are arrays where the numbers of the problem are.
-    """
-    named: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()} | problem.counted
-    if any(v.name == SPAN for v in constants):
-        named[SPAN] = problem.span
-    if moving := [v.name for v in constants if v.name.startswith(TARGET)]:
-        named |= zip(moving, [*problem.data.columns.ravel().tolist(), problem.radian], strict=False)
-    return [v.scaled(named[v.name]) for v in constants]
 
 
 # --- solved programmes --------------------------------------------------------------------------------------------------------

@@ -17,7 +17,10 @@ OLDEST = 4
 
 STEPS: dict[tuple[str, int], Callable[[dict[str, Any]], dict[str, Any]]] = {}
 """By kind and number: what makes of the content of such a document that of the next number; without one both are the same."""
-ADDED: dict[str, tuple[str, ...]] = {"design": ("rounding", "exact_solutions")}
+ADDED: dict[str, tuple[str, ...]] = {
+    "design": ("rounding", "exact_solutions"),
+    "sweep": ("searched_points", "active_set_changes"),
+}
 """Keys, by kind, that were added after the present number began: older documents of it lack them. A field needs a default."""
 
 

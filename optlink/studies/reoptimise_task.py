@@ -30,7 +30,8 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.courses import course_again
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP, BatchNLP
-from optlink.optimization.programme import build, constant_values
+from optlink.optimization.parameters import constant_values
+from optlink.optimization.programme import build
 from optlink.optimization.terms import rows as limit_rows
 from optlink.problem.design import DesignProblem, is_parameter
 from optlink.problem.file import ProblemFile

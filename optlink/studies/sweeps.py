@@ -134,39 +134,33 @@ class _Summary:
 
     valid_points: int = 0
     statuses: Counter[str] = field(default_factory=Counter)
-    searched: int = 0
-    changed: int = 0
+    searched_points: int = 0
+    active_set_changes: int = 0
     best: dict[str, Cell] | None = None
     changes: tuple[ActiveSetChange, ...] = ()
-
-
-def _of_optima(name: str) -> Source:
-    """Return the source of a figure of optima, which other sweeps do not have."""
-    return lambda result: None if result.evaluated else getattr(result, name)
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class GridStudy(Document):
     """Result of a study of all points of a grid.
 
-    `valid_points`: number of points with a validated optimum (or a complete analysis); `cpu` [s]: processor time of all processes
-    for the `done` points of this run; `best`: the row of the best point by column [SI], None if there is none.
+    `valid_points`: number of points with a validated optimum (or a complete analysis); `processor_seconds`: processor time of all
+    processes for the `points_done_now`, those of this run; `best`: the row of the best point by column [SI], None if there is
+    none.
     """
-
-    shown: ClassVar[Mapping[str, Source]] = {
-        "points_done_now": "done",
-        "processor_seconds": "cpu",
-    }
 
     problem: ProblemFile
     grid: Grid
     table: StoredTable
     valid_points: int
-    done: int
+    points_done_now: int
     seconds: float
-    cpu: float
+    processor_seconds: float
     engine: str
     workers: int | None
+
+    done = Renamed("points_done_now")
+    cpu = Renamed("processor_seconds")
 
     @property
     def path(self) -> Path:
@@ -179,28 +173,26 @@ class GridStudy(Document):
 class Sweep(GridStudy):
     """Result of a sweep; its table is read from its file on demand, and contained in its document up to `MAX_ROWS` rows.
 
-    `searched`: number of points that were solved by a new search instead of continuation from a neighbour; `changed`: number of
-    points whose active set differs from that of the preceding point; `statuses`: number of points by status; `best`: the valid
-    point with the best objective, of a sweep of optima; `data`: the table that was read from a document.
+    `searched_points`: number of points that were solved by a new search instead of continuation from a neighbour;
+    `active_set_changes`: number of points whose active set differs from that of the preceding point; `statuses`: number of points
+    by status; `best`: the valid point with the best objective, of a sweep of optima; `data`: the table that was read from a
+    document.
     """
 
     kind = "sweep"
     shown: ClassVar[Mapping[str, Source]] = {
-        **GridStudy.shown,
         "axes": "grid.axes",
         "points": "grid.count",
         "columns": "names",
-        "infeasible_points?": _of_optima("infeasible"),
-        "searched_points?": _of_optima("searched"),
-        "active_set_changes?": _of_optima("changed"),
+        "infeasible_points?": lambda sweep: None if sweep.evaluated else sweep.infeasible,
     }
 
     mode: str
     statuses: Mapping[str, int]
-    searched: int
-    changed: int
     best: Mapping[str, Cell] | None
     changes: tuple[ActiveSetChange, ...]
+    searched_points: int = 0
+    active_set_changes: int = 0
     data: dict[str, TableColumn] | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -253,6 +245,8 @@ class Sweep(GridStudy):
 
     complete = Renamed("valid")
     successful = Renamed("valid")
+    searched = Renamed("searched_points")
+    changed = Renamed("active_set_changes")
 
     @property
     def valid(self) -> bool:
@@ -369,9 +363,9 @@ def sweep(
             mode=task.mode,
             table=TableFile(store.table, store.temporary),
             **vars(summary),
-            done=mine,
+            points_done_now=mine,
             seconds=time.perf_counter() - begin,
-            cpu=cpu,
+            processor_seconds=cpu,
             engine=execution.get("engine", "local"),
             workers=execution.get("workers"),
         )
@@ -427,9 +421,9 @@ def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _S
         changed = number % length != 0 and now is not None and before is not None and before != now
         row = [*row, "true" if changed else "false"]
         summary.statuses[row[status]] += 1
-        summary.searched += row[method] == SEARCHED
+        summary.searched_points += row[method] == SEARCHED
         if changed:
-            summary.changed += 1
+            summary.active_set_changes += 1
             if len(summary.changes) < LISTED_CHANGES:
                 assert before is not None
                 at = {axis.column: float(value) for axis, value in zip(grid.axes, grid.in_si(number), strict=True)}

@@ -10,7 +10,8 @@ from optlink.errors import Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.courses import TermCourse, has_position_limits
 from optlink.optimization.nlp import NLP, PointwiseNLP
-from optlink.optimization.programme import build, constant_values
+from optlink.optimization.parameters import constant_values
+from optlink.optimization.programme import build
 from optlink.optimization.terms import alignment_row, link_rows, position_rows, rows as limit_rows
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile

@@ -16,7 +16,7 @@ from optlink.linkage.dyads import ModalDyad
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array
-from optlink.optimization.programme import path_variable
+from optlink.optimization.parameters import path_variable
 from optlink.optimization.terms import position_rows, region_rows, rows as limit_rows
 from optlink.problem.base_model import RESERVED
 from optlink.problem.design import DesignProblem

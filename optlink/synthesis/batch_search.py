@@ -14,7 +14,7 @@ from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs, built, packed
 from optlink.linkage.fourbar import InnerFourBar, inner_four_bars
 from optlink.linkage.vector2d import TURN, Array
-from optlink.optimization.programme import path_variable
+from optlink.optimization.parameters import path_variable
 from optlink.problem.design import STEP, DesignProblem
 from optlink.synthesis.batch import Batch, ByLengths
 from optlink.synthesis.levenberg_marquardt import ZERO, FinalDesigns, SimilarityFit, minimise

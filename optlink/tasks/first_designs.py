@@ -53,7 +53,7 @@ def starts(problem: AnyProblem, rounds: int = 1, seed: int = 0) -> list[FirstDes
     >>> sorted(first.design) == sorted(optlink.load("path-arc5").model.free), first.cost < 1e-3
     (True, True)
     """
-    from optlink.optimization.programme import path_variable
+    from optlink.optimization.parameters import path_variable
     from optlink.synthesis.batch_search import Searcher
 
     problem = problem_of(problem)

@@ -16,7 +16,8 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.courses import NODES, ErrorCourse, TermCourse
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.nlp import NLP
-from optlink.optimization.programme import angle_name, build, build_again, path_variable, solved_values
+from optlink.optimization.parameters import path_variable
+from optlink.optimization.programme import angle_name, build, build_again, solved_values
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from optlink.optimization.nlp import scaled_variable
-from optlink.optimization.programme import path_variable
+from optlink.optimization.parameters import path_variable
 from optlink.problem.file import load
 
 EXPECTED = {

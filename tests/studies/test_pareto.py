@@ -492,7 +492,7 @@ def test_the_front_does_not_depend_on_workers_or_interruption(tmp_path, monkeypa
     with pytest.raises(Enough):
         pareto(problem, words, tmp_path / "late", points=7, workers=1, progress=stop)
     late = pareto(problem, words, tmp_path / "late", points=7, workers=1, resume=True)
-    assert 0 < late.done < 49
+    assert 0 < late.points_done_now < 49
     assert late.path.read_bytes() == whole.path.read_bytes()
     with pytest.raises(InputError, match="another study"):
         pareto(problem, words, tmp_path / "late", points=6, workers=1, resume=True)

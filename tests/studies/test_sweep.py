@@ -133,7 +133,7 @@ def test_rows_are_those_of_single_solves():
     assert result.valid
     table = result.columns
     assert len(table["valid"]) == 231
-    assert result.searched < 10
+    assert result.searched_points < 10
     for i in np.random.default_rng(3).choice(231, 6, replace=False):
         overrides = {"mechanism.frame": float(table["mechanism.frame_m"][i]), f"{LIMIT}": float(table[f"{LIMIT}_rad"][i])}
         single = optlink.solve(optlink.load("crank-rocker", overrides), certify=False)
@@ -175,7 +175,7 @@ def test_active_set_changes_are_marked():
     assert "coupler" not in change.after
     assert "largest transmission angle" in change.after
     assert np.all(table["coupler_m"][mark:] == pytest.approx(0.41286542, abs=1e-8))
-    assert result.searched == 4  # in the middle of each block; from there, Newton's method changes the active set itself
+    assert result.searched_points == 4  # in the middle of each block; from there, Newton's method changes the active set itself
 
 
 @pytest.mark.slow
@@ -376,7 +376,7 @@ def test_killed_twice_and_resumed(undisturbed, tmp_path):
 def test_a_finished_run_is_read_again(undisturbed, tmp_path):
     sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, workers=1)
     again = sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, resume=True)
-    assert again.done == 0
+    assert again.points_done_now == 0
     assert again.valid_points == POINTS
     assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
 
@@ -387,7 +387,12 @@ def test_a_finished_run_reports_the_same_again(tmp_path):
     again = sweep(problem(), vary, tmp_path, resume=True)
     assert len(first.changes) == 1
     assert again.changes == first.changes
-    assert (again.valid_points, again.searched, again.changed, again.best) == (61, first.searched, 1, first.best)
+    assert (again.valid_points, again.searched_points, again.active_set_changes, again.best) == (
+        61,
+        first.searched_points,
+        1,
+        first.best,
+    )
 
 
 @pytest.mark.parametrize(
@@ -439,7 +444,7 @@ def test_a_damaged_chunk_is_recomputed(begun, tmp_path, damage):
     shutil.copytree(begun, out)
     chunks.change(out, 0, damage)
     resumed = sweep(problem(), [f"{FRAME}:150"], out, resume=True, workers=1)
-    assert resumed.done == 150
+    assert resumed.points_done_now == 150
     assert (out / "sweep.csv").read_bytes() == (begun / "whole.csv").read_bytes()
 
 
@@ -493,7 +498,7 @@ def test_a_truncated_chunk_is_recomputed(undisturbed, tmp_path):
         sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, workers=1, progress=stopped)
     chunks.change(tmp_path, 0, lambda text: text[:-30])
     resumed = sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, resume=True, workers=1)
-    assert resumed.done == 200
+    assert resumed.points_done_now == 200
     assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
 
 
@@ -524,7 +529,7 @@ def test_a_full_disk_keeps_finished_chunks(undisturbed, tmp_path, monkeypatch):
         with pytest.raises(InputError, match=r"No space left on device.*Free some space"):
             sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, workers=2)
     assert chunks.complete(tmp_path) == 2
-    assert sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, resume=True, workers=2).done == 200
+    assert sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, resume=True, workers=2).points_done_now == 200
     assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
 
 
@@ -775,7 +780,7 @@ def test_a_dead_scheduler_gives_one_sentence_and_loses_no_chunk(undisturbed, tmp
     complete = chunks.complete(out)
     assert 1 <= complete < 4
     resumed = sweep(problem(), [f"{FRAME}:{POINTS}"], out, resume=True, workers=1)
-    assert resumed.done == POINTS - 100 * complete
+    assert resumed.points_done_now == POINTS - 100 * complete
     assert (out / "sweep.csv").read_bytes() == undisturbed
 
 

@@ -29,7 +29,7 @@ def test_clearance_varied_over_simulations_gives_the_figures_of_single_runs(tmp_
         assert one.columns["largest_normal_N"][i] == single.figures["largest_normal_N"]
     two = sweep(file, vary, tmp_path / "two", simulate=OPTIONS, workers=2)
     assert two.path.read_bytes() == one.path.read_bytes()
-    assert sweep(file, vary, tmp_path / "one", simulate=OPTIONS, workers=1, resume=True).done == 0
+    assert sweep(file, vary, tmp_path / "one", simulate=OPTIONS, workers=1, resume=True).points_done_now == 0
     with pytest.raises(InputError, match="another study"):
         sweep(file, vary, tmp_path / "one", simulate={**OPTIONS, "points": 72}, workers=1, resume=True)
 

@@ -446,10 +446,14 @@ def overview(result: Sweep) -> Summary:
     if result.changes:
         parts.append(_changes(result))
     parts += _rows(result) if result.evaluated else []
-    rate = result.done / result.seconds if result.seconds else 0.0
+    rate = result.points_done_now / result.seconds if result.seconds else 0.0
     pace = f"{rate:z,.0f}" if rate >= 10.0 else number(rate, 2)
-    line = f"{points(result.done)} done in {result.seconds:z.1f} s ({pace} a second"
-    line += f"; {1e3 * result.cpu / result.done:z.2f} ms of processor time each)" if result.done else ")"
+    line = f"{points(result.points_done_now)} done in {result.seconds:z.1f} s ({pace} a second"
+    line += (
+        f"; {1e3 * result.processor_seconds / result.points_done_now:z.2f} ms of processor time each)"
+        if result.points_done_now
+        else ")"
+    )
     if not result.evaluated:
         line += f"; {searches(result)}"
     return summary(result.problem.model.title, status, *parts, Paragraph(quiet(line), appendix=True))
@@ -457,9 +461,9 @@ def overview(result: Sweep) -> Summary:
 
 def searches(result: Sweep) -> str:
     """Return how the optima of a sweep were computed."""
-    if result.searched >= result.grid.count:
+    if result.searched_points >= result.grid.count:
         return "all by a search"
-    return f"{result.searched:,} by a search, the others from a neighbouring optimum"
+    return f"{result.searched_points:,} by a search, the others from a neighbouring optimum"
 
 
 def _point_counts(result: Sweep) -> str:
@@ -534,7 +538,7 @@ def _changes(result: Sweep) -> TableSpec:
         for change in result.changes[:MAX_LISTED]
     ]
     columns = [*(f">{_short(axis.key, axis.unit)}" for axis in result.grid.axes), "before", "from there on"]
-    return table(f"Changes of the active constraints: {result.changed}", columns, rows)
+    return table(f"Changes of the active constraints: {result.active_set_changes}", columns, rows)
 
 
 def conclusion(result: Sweep) -> str:

@@ -69,7 +69,6 @@ class Pareto(GridStudy):
 
     kind = "pareto"
     shown: ClassVar[Mapping[str, Source]] = {
-        **GridStudy.shown,
         "objectives": lambda result: [
             {"name": one.name, "column": one.column, "unit": one.unit, "sense": one.way} for one in result.objectives
         ],
@@ -290,9 +289,9 @@ def pareto(
             dominated=len(designs) - len(front),
             grid=grid,
             table=TableFile(store.table, store.temporary),
-            done=mine,
+            points_done_now=mine,
             seconds=time.perf_counter() - begin,
-            cpu=cpu,
+            processor_seconds=cpu,
             engine=execution.get("engine", "local"),
             workers=execution.get("workers"),
         )
