@@ -230,6 +230,12 @@ def test_pages_that_are_opened_as_files_can_be_searched(small):
         assert [address for address in requests(driver, page) if not address.startswith((small / "site").as_uri())] == []
 
 
+def test_code_of_a_table_has_no_backslash():
+    """On a code host it has none; outside tables it is code as it stands."""
+    text = "`a \\| b`\n\n| `int \\| None` | `x` |\n|---|---|\n```sh\n| `a \\| b` |\n```\n"
+    assert site.prose(text) == text.replace("`int \\| None`", "<code>int &#124; None</code>")
+
+
 def test_network_access_of_a_page_is_detected():
     assert fetched('<script defer src="https://unpkg.com/x.js"></script>') == ["https://unpkg.com/x.js"]
     assert fetched('<link rel="stylesheet" href="//fonts.example/css">') == ["//fonts.example/css"]

@@ -16,8 +16,6 @@ INLINE = re.compile(r"\$`(?P<tex>[^`\n]+)`\$")
 FENCE = re.compile(r"^(`{3,}|~~~).*?^\1[ ]*$", re.DOTALL | re.MULTILINE)
 ALIGNED = re.compile(r"\s*\\begin\{aligned\}(?P<rows>.*)\\end\{aligned\}\s*", re.DOTALL)
 NAMED = re.compile(r"(<mi>(?:cos|sin|tan|tanh|arcsin|arccos|max|min|log)</mi>)(?=<m(?:i|sub|sup|frac|n)\b)")
-ACTIVE = re.compile(r"[*_`|\\\[\]~^]")
-"""What Markdown would read in a formula."""
 
 
 def mathml(tex: str, *, block: bool = False) -> str:
@@ -42,7 +40,7 @@ def mathml(tex: str, *, block: bool = False) -> str:
         inside = f"<mtable displaystyle='true'>{''.join(f'<mtr>{row}</mtr>' for row in cells)}</mtable>"
     else:
         inside = _inner(tex, block=block)
-    text = ACTIVE.sub(lambda found: f"&#{ord(found[0])};", inside)
+    text = inert(inside)
     return f'<math display="block">{text}</math>' if block else f"<math>{text}</math>"
 
 
@@ -53,6 +51,11 @@ def _inner(tex: str, *, block: bool) -> str:
     if "\\" in made:
         raise ValueError(f"not a formula: {tex}")
     return NAMED.sub(r'\1<mspace width="0.17em"/>', made)
+
+
+def inert(html: str) -> str:
+    """Return HTML in which Markdown finds no signs of its own, no end of a cell either."""
+    return re.sub(r"[*_`|\\\[\]~^]", lambda found: f"&#{ord(found[0])};", html)
 
 
 def shown(markdown: str) -> str:

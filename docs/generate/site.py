@@ -10,6 +10,7 @@ folder as a list.
 from __future__ import annotations
 
 import base64
+import html
 import json
 import posixpath
 import re
@@ -34,6 +35,9 @@ QUIET = "---\nsearch:\n  exclude: true\n---\n\n"
 """In front of pages that would only clutter the search."""
 MINOR = "---\nsearch:\n  boost: 0.3\n---\n\n"
 """In front of pages that shall be found after the others."""
+ROW = re.compile(r"^\|.*", re.MULTILINE)
+PIPE = re.compile(r"`([^`\n]*\\\|[^`\n]*)`")
+"""Code in a row of a table with \\|, which Python's Markdown shows with its backslash."""
 PASSED = {"image/png": "png", "image/gif": "gif", "image/jpeg": "jpg"}
 
 
@@ -164,8 +168,14 @@ def contents() -> dict[str, bytes]:
 
 
 def prose(markdown: str) -> str:
-    """A page as the site shows it: with its formulas, and without words for the tests behind the language of a fence."""
-    return re.sub(r"^```toml [a-z]+$", "```toml", formulas.shown(markdown), flags=re.MULTILINE)
+    """A page as the site shows it: with its formulas, code of tables, and fences without the words of the tests."""
+    text = formulas.outside_fences(formulas.shown(markdown), lambda text: ROW.sub(lambda row: PIPE.sub(_code, row[0]), text))
+    return re.sub(r"^```toml [a-z]+$", "```toml", text, flags=re.MULTILINE)
+
+
+def _code(found: re.Match[str]) -> str:
+    text = found[1].replace(r"\|", "|")
+    return f"<code>{formulas.inert(html.escape(text, quote=False))}</code>"
 
 
 def write(folder: Path) -> None:
