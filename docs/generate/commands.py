@@ -39,7 +39,7 @@ def default(option: Any) -> str:
     if option.required:
         return "required"
     known = option.default
-    if option.is_flag or option.multiple or known is None or callable(known):
+    if option.is_flag or option.multiple or known in (None, "") or callable(known):
         return ""
     return f"`{getattr(known, 'value', known)}`"
 

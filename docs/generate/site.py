@@ -1,4 +1,6 @@
-"""What the pages link to beside themselves: notebooks become pages, files of the repository are shown in the site.
+"""The folder of which the site is built, `build/pages`: all pages with their formulas, and what they link to beside themselves.
+
+    python -m docs.generate.site && zensical build
 
 The pages are written to be read in the repository, too; there `../notebooks/x.ipynb` or `../tests/test_x.py` are links that
 work. Here each such file becomes a page: a notebook with its text, code, output and pictures, a source file with its lines, a
@@ -8,21 +10,17 @@ folder as a list.
 from __future__ import annotations
 
 import base64
+import html
 import json
 import posixpath
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from mkdocs.config.defaults import MkDocsConfig
-    from mkdocs.structure.files import Files
-    from mkdocs.structure.pages import Page
+from docs.generate import formulas
 
 ROOT = Path(__file__).resolve().parents[2]
 LINK = re.compile(r"(?<!\\)(?P<open>!?\[[^\]\n]*\]\()(?P<target>[^)\s]+)\)")
-FENCE = re.compile(r"^(```|~~~).*?^\1\s*$", re.DOTALL | re.MULTILINE)
 OUTSIDE = {
     "README.md": "overview.md",
     "README.zh.md": "zh.md",
@@ -37,12 +35,15 @@ QUIET = "---\nsearch:\n  exclude: true\n---\n\n"
 """In front of pages that would only clutter the search."""
 MINOR = "---\nsearch:\n  boost: 0.3\n---\n\n"
 """In front of pages that shall be found after the others."""
+ROW = re.compile(r"^\|.*", re.MULTILINE)
+PIPE = re.compile(r"`([^`\n]*\\\|[^`\n]*)`")
+"""Code in a row of a table with \\|, which Python's Markdown shows with its backslash."""
 PASSED = {"image/png": "png", "image/gif": "gif", "image/jpeg": "jpg"}
 
 
 def outward(markdown: str, folder: str) -> Iterator[str]:
     """Files and folders of the repository that a page in a folder of the repository ("docs") links to, without those of docs."""
-    for match in LINK.finditer(FENCE.sub("", markdown)):
+    for match in LINK.finditer(formulas.FENCE.sub("", markdown)):
         path = _resolved(match["target"], folder)
         if path and not path.startswith("docs/"):
             yield path
@@ -77,15 +78,7 @@ def rewritten(markdown: str, folder: str, page: str) -> str:
         _, sharp, anchor = match["target"].partition("#")
         return f"{match['open']}{posixpath.relpath(page_of(path), posixpath.dirname(page))}{sharp}{anchor})"
 
-    return _outside_fences(markdown, lambda text: LINK.sub(one, text))
-
-
-def _outside_fences(markdown: str, change: Callable[[str], str]) -> str:
-    done, at = [], 0
-    for fence in FENCE.finditer(markdown):
-        done += [change(markdown[at : fence.start()]), fence[0]]
-        at = fence.end()
-    return "".join([*done, change(markdown[at:])])
+    return formulas.outside_fences(markdown, lambda text: LINK.sub(one, text))
 
 
 # --- pages for what is no page -----------------------------------------------------------------------------------------
@@ -95,23 +88,20 @@ def source(path: str) -> str:
     """A file of the repository with its lines, or a folder as a list."""
     place = ROOT / path
     if place.is_dir():
-        inside = sorted(one for one in place.iterdir() if one.suffix in LEXERS and one.name != "__init__.py")
-        return f"{QUIET}# {path}/\n\n" + "".join(f"- [{one.name}]({one.name}.md)\n" for one in inside)
+        names = [one.removeprefix(f"{path}/") for one in inside(path)]
+        return f"{QUIET}# {path}/\n\n" + "".join(f"- [{name}]({name}.md)\n" for name in names)
     text = place.read_text(encoding="utf-8")
     return f"{QUIET}# {path}\n\n````{LEXERS[place.suffix]}\n{text}````\n"
 
 
-def below(path: str) -> list[str]:
-    """What is shown with a file or folder: itself, and the files of a folder."""
-    place = ROOT / path
-    inside = (
-        sorted(one for one in place.iterdir() if one.suffix in LEXERS and one.name != "__init__.py") if place.is_dir() else []
-    )
-    return [path, *(f"{path}/{one.name}" for one in inside)]
+def inside(path: str) -> list[str]:
+    """The files of a folder that are shown with it; of a file none."""
+    found = (ROOT / path).glob("*")  # of a file nothing
+    return sorted(f"{path}/{one.name}" for one in found if one.suffix in LEXERS and one.name != "__init__.py")
 
 
 def with_formulas(text: str) -> str:
-    """The text of a notebook with its formulas, `$` or `$$` around LaTeX, in the form of the pages (`formulas.marked`)."""
+    """The text of a notebook with its formulas, `$` or `$$` around LaTeX, in the form of the pages (`formulas.shown`)."""
     text = re.sub(r"\$\$(.+?)\$\$", lambda found: f"\n\n```math\n{found[1].strip()}\n```\n\n", text, flags=re.DOTALL)
     return re.sub(r"(?<![\\$`])\$(?=[^\s$`])([^$`\n]*[^\s$`])\$(?!\w)", r"$`\1`$", text)
 
@@ -125,7 +115,7 @@ def notebook(path: str) -> tuple[str, dict[str, bytes]]:
     for cell in cells:
         text = _joined(cell["source"])
         if cell["cell_type"] == "markdown":
-            parts.append(_outside_fences(rewritten(text, "notebooks", page_of(path)), with_formulas))
+            parts.append(formulas.outside_fences(rewritten(text, "notebooks", page_of(path)), with_formulas))
             continue
         if cell["cell_type"] != "code" or not text.strip():
             continue
@@ -150,60 +140,55 @@ def _joined(text: str | list[str]) -> str:
     return text if isinstance(text, str) else "".join(text)
 
 
-# --- MkDocs ------------------------------------------------------------------------------------------------------------
+# --- the folder --------------------------------------------------------------------------------------------------------
 
 
-def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """MkDocs: add a page for everything outside docs/ that a page links to, and for all notebooks."""
-    from mkdocs.structure.files import File, InclusionLevel
-
-    def add(uri: str, content: str | bytes, *, listed: bool = False) -> None:
-        if files.get_file_from_path(uri) is None:
-            level = InclusionLevel.UNDEFINED if listed else InclusionLevel.NOT_IN_NAV
-            files.append(File.generated(config, uri, content=content, inclusion=level))
-
+def contents() -> dict[str, bytes]:
+    """Return the files of the folder by their paths."""
+    docs = [one.relative_to(ROOT).as_posix() for one in sorted((ROOT / "docs").rglob("*")) if one.is_file()]
+    result = {"assets/math.ttf": formulas.font()}
     wanted = {"tests/validation"}
-    for path in OUTSIDE:
-        text = (ROOT / path).read_text(encoding="utf-8")
-        wanted |= set(outward(text, ""))
-        add(page_of(path), rewritten(text, "", page_of(path)), listed=True)
+    for path in (*docs, *OUTSIDE):
+        data = (ROOT / path).read_bytes()
+        if path.endswith(".md"):
+            text, folder = data.decode(), posixpath.dirname(path)
+            wanted |= set(outward(text, folder))
+            data = prose(rewritten(text, folder, page_of(path))).encode()
+        if not path.endswith((".py", ".pyc")):
+            result[page_of(path)] = data
     for book in sorted((ROOT / "notebooks").glob("*.ipynb")):
         path = f"notebooks/{book.name}"
         text, pictures = notebook(path)
-        add(page_of(path), MINOR + text, listed=True)
-        add(path, book.read_bytes())
-        for name, data in pictures.items():
-            add(f"notebooks/{name}", data)
-    for page in [file for file in files.documentation_pages() if not file.generated_by]:
-        text = page.content_string
-        wanted |= set(outward(text, posixpath.dirname(f"docs/{page.src_uri}")))
-    for path in sorted({inside for one in wanted for inside in below(one)}):
-        if path not in OUTSIDE and not path.endswith(".ipynb") and (ROOT / path).exists():
-            add(page_of(path), source(path))
-    return files
+        result |= {page_of(path): (MINOR + prose(text)).encode(), path: book.read_bytes()}
+        result |= {f"notebooks/{name}": data for name, data in pictures.items()}
+    for path in {shown for one in wanted for shown in (one, *inside(one))}:
+        if page_of(path) not in result and (ROOT / path).exists():
+            result[page_of(path)] = source(path).encode()
+    return result
 
 
-def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """MkDocs: lead links out of docs/ to the pages above; fences that carry a word for the tests are plain ones."""
-    uri = page.file.src_uri
-    if page.file.generated_by is None:
-        markdown = rewritten(markdown, posixpath.dirname(f"docs/{uri}"), uri)
-    return re.sub(r"^```toml [a-z]+$", "```toml", markdown, flags=re.MULTILINE)
+def prose(markdown: str) -> str:
+    """A page as the site shows it: with its formulas, code of tables, and fences without the words of the tests."""
+    text = formulas.outside_fences(formulas.shown(markdown), lambda text: ROW.sub(lambda row: PIPE.sub(_code, row[0]), text))
+    return re.sub(r"^```toml [a-z]+$", "```toml", text, flags=re.MULTILINE)
 
 
-FETCHED = re.compile(r"<(?:script|img|iframe|source|video|audio|embed)\b[^>]*?\ssrc=[\"']?((?:https?:)?//[^\"'\s>]+)")
-STYLED = re.compile(r"<link\b(?![^>]*\brel=[\"']?canonical)[^>]*?\shref=[\"']?((?:https?:)?//[^\"'\s>]+)")
+def _code(found: re.Match[str]) -> str:
+    text = found[1].replace(r"\|", "|")
+    return f"<code>{formulas.inert(html.escape(text, quote=False))}</code>"
 
 
-def fetched(html: str) -> list[str]:
-    """Addresses that a page would load from the network when it is opened; links that somebody may follow are none."""
-    return FETCHED.findall(html) + STYLED.findall(html)
+def write(folder: Path) -> None:
+    """Write the folder: what differs, so that a running preview sees no more; what is not of it any longer goes."""
+    made = contents()
+    for old in [one for one in folder.rglob("*") if one.is_file() and one.relative_to(folder).as_posix() not in made]:
+        old.unlink()
+    for path, data in made.items():
+        place = folder / path
+        if not place.exists() or place.read_bytes() != data:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_bytes(data)
 
 
-def on_post_page(output: str, page: Page, **_: Any) -> str:
-    """MkDocs: no page asks the network for anything."""
-    from mkdocs.exceptions import PluginError
-
-    if found := fetched(output):
-        raise PluginError(f"{page.file.src_uri} would load {found[0]}")
-    return output
+if __name__ == "__main__":
+    write(ROOT / "build/pages")

@@ -1,8 +1,6 @@
 """Formulas as MathML, which browsers show without a script, in a font of the site.
 
-Pages contain LaTeX in the form that code hosts read: a fence ```math, or `$` around code in a line. MkDocs calls
-`on_files`, which adds a mathematical font, `on_page_markdown`, which puts marks in the place of formulas, and
-`on_page_content`, which replaces the marks.
+Pages contain LaTeX in the form that code hosts read: a fence ```math, or `$` around code in a line.
 """
 
 from __future__ import annotations
@@ -10,21 +8,14 @@ from __future__ import annotations
 import importlib.util
 import io
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from mkdocs.config.defaults import MkDocsConfig
-    from mkdocs.structure.files import Files
-    from mkdocs.structure.pages import Page
 
 BLOCK = re.compile(r"^```math\n(?P<tex>.*?)^```[ ]*$", re.DOTALL | re.MULTILINE)
 INLINE = re.compile(r"\$`(?P<tex>[^`\n]+)`\$")
-FENCE = re.compile(r"^(```|~~~).*?^\1[ ]*$", re.DOTALL | re.MULTILINE)
+FENCE = re.compile(r"^(`{3,}|~~~).*?^\1[ ]*$", re.DOTALL | re.MULTILINE)
 ALIGNED = re.compile(r"\s*\\begin\{aligned\}(?P<rows>.*)\\end\{aligned\}\s*", re.DOTALL)
 NAMED = re.compile(r"(<mi>(?:cos|sin|tan|tanh|arcsin|arccos|max|min|log)</mi>)(?=<m(?:i|sub|sup|frac|n)\b)")
-OPENED = '<math display="block">'
-MARK = "optlinkformula{}z"
 
 
 def mathml(tex: str, *, block: bool = False) -> str:
@@ -49,7 +40,8 @@ def mathml(tex: str, *, block: bool = False) -> str:
         inside = f"<mtable displaystyle='true'>{''.join(f'<mtr>{row}</mtr>' for row in cells)}</mtable>"
     else:
         inside = _inner(tex, block=block)
-    return f"{OPENED if block else '<math>'}{inside}</math>"
+    text = inert(inside)
+    return f'<math display="block">{text}</math>' if block else f"<math>{text}</math>"
 
 
 def _inner(tex: str, *, block: bool) -> str:
@@ -61,29 +53,34 @@ def _inner(tex: str, *, block: bool) -> str:
     return NAMED.sub(r'\1<mspace width="0.17em"/>', made)
 
 
-def marked(markdown: str) -> tuple[str, list[str]]:
-    """Return a page with a mark in the place of each formula, and the formulas as MathML.
+def inert(html: str) -> str:
+    """Return HTML in which Markdown finds no signs of its own, no end of a cell either."""
+    return re.sub(r"[*_`|\\\[\]~^]", lambda found: f"&#{ord(found[0])};", html)
+
+
+def shown(markdown: str) -> str:
+    """Return a page with MathML in the place of its formulas.
 
     Parameters
     ----------
     markdown : str
         Formulas inside fences of code are none.
     """
-    found: list[str] = []
-
-    def mark(html: str) -> str:
-        found.append(html)
-        return MARK.format(len(found) - 1)
 
     def inline(text: str) -> str:
-        return INLINE.sub(lambda match: mark(mathml(match["tex"])), text)
+        return INLINE.sub(lambda found: f"<span>{mathml(found['tex'])}</span>", text)
 
-    text = BLOCK.sub(lambda match: f"\n{mark(mathml(match['tex'], block=True))}\n", markdown)
-    parts, at = [], 0
-    for fence in FENCE.finditer(text):
-        parts += [inline(text[at : fence.start()]), fence[0]]
+    text = BLOCK.sub(lambda found: f'\n<div class="formula">{mathml(found["tex"], block=True)}</div>\n', markdown)
+    return outside_fences(text, inline)
+
+
+def outside_fences(markdown: str, change: Callable[[str], str]) -> str:
+    """Return a text with a change to everything but its fences of code."""
+    done, at = [], 0
+    for fence in FENCE.finditer(markdown):
+        done += [change(markdown[at : fence.start()]), fence[0]]
         at = fence.end()
-    return "".join([*parts, inline(text[at:])]), found
+    return "".join([*done, change(markdown[at:])])
 
 
 LETTERS = (
@@ -118,27 +115,3 @@ def font() -> bytes:
     with io.BytesIO() as stream:
         whole.save(stream)
         return stream.getvalue()
-
-
-def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """MkDocs: add the font."""
-    from mkdocs.structure.files import File
-
-    files.append(File.generated(config, "assets/math.ttf", content=font()))
-    return files
-
-
-def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """MkDocs: put marks in the place of formulas."""
-    text, page.meta["formulas"] = marked(markdown)
-    return text
-
-
-def on_page_content(html: str, page: Page, **_: Any) -> str:
-    """MkDocs: replace the marks by formulas."""
-    for k, formula in enumerate(page.meta.pop("formulas", [])):
-        mark = MARK.format(k)
-        if formula.startswith(OPENED):
-            html = html.replace(f"<p>{mark}</p>", f'<div class="formula">{formula}</div>')
-        html = html.replace(mark, formula)
-    return html
