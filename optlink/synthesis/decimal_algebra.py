@@ -1,11 +1,15 @@
-"""Linear equations and real roots of polynomials in 80 decimal digits, for roots that doubles do not separate.
+"""Linear equations, complex numbers, and real roots of polynomials in 80 decimal digits, for roots that doubles do not separate.
 
-Matrices are lists of rows. The precision is that of the decimal context, which `precise` sets.
+Matrices are lists of rows, or arrays of complex numbers. The precision is that of the decimal context, which `precise` sets.
 """
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from decimal import Context, Decimal, localcontext
+from typing import Any
+
+import numpy as np
 
 DIGITS = 80
 VANISHES = Decimal("1e-40")  # relative size of a number that rounding alone makes differ from zero
@@ -16,6 +20,61 @@ Matrix = list[list[Decimal]]
 def precise() -> AbstractContextManager[Context]:
     """Return a context in which decimals have 80 digits."""
     return localcontext(Context(prec=DIGITS))
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A complex number, as element of arrays."""
+
+    real: Decimal
+    imag: Decimal
+
+    def __add__(self, other: "Number") -> "Number":
+        return Number(self.real + other.real, self.imag + other.imag)
+
+    def __sub__(self, other: "Number") -> "Number":
+        return Number(self.real - other.real, self.imag - other.imag)
+
+    def __mul__(self, other: "Number") -> "Number":
+        return Number(self.real * other.real - self.imag * other.imag, self.real * other.imag + self.imag * other.real)
+
+    def __truediv__(self, other: "Number") -> "Number":
+        size = other.real * other.real + other.imag * other.imag
+        return self * Number(other.real / size, -other.imag / size)
+
+    def __neg__(self) -> "Number":
+        return Number(-self.real, -self.imag)
+
+    def __abs__(self) -> float:
+        return abs(complex(self))
+
+    def __complex__(self) -> complex:
+        return complex(float(self.real), float(self.imag))
+
+    def conjugate(self) -> "Number":
+        """Return the conjugate."""
+        return Number(self.real, -self.imag)
+
+
+def _number(value: complex | Number) -> Number:
+    return value if isinstance(value, Number) else Number(Decimal(value.real), Decimal(value.imag))
+
+
+numbers: Any = np.vectorize(_number, otypes=[object])
+"""Arrays of `Number` from complex arrays, or from such ones."""
+
+
+def inverse_of(matrix: Any) -> Any:
+    """Return the inverse of a square array of `Number`, by elimination; not finite if it is singular."""
+    size = len(matrix)
+    rows = np.concatenate([matrix, numbers(np.eye(size, dtype=complex))], axis=1)
+    for k in range(size):
+        best = k + int(np.argmax(np.abs(rows[k:, k])))
+        rows[[k, best]] = rows[[best, k]]
+        rows[k] = rows[k] / rows[k, k]
+        others = np.arange(size) != k
+        rows[others] = rows[others] - rows[others, k, None] * rows[k]
+    return rows[:, size:]
 
 
 def cos_sin(angle: float) -> tuple[Decimal, Decimal]:

@@ -32,6 +32,20 @@ class Pair:
         error = (self.high - (total - part)) + (other.high - part)
         return _normal(total, error + (self.low + other.low))
 
+    def __neg__(self) -> "Pair":
+        return Pair(-self.high, -self.low)
+
+    def __sub__(self, other: "Pair") -> "Pair":
+        return self + -other
+
+    def conjugate(self) -> "Pair":
+        """Return the conjugates."""
+        return Pair(np.conj(self.high), np.conj(self.low))
+
+    def __truediv__(self, other: "Pair") -> "Pair":
+        near = Pair(1.0 / other.high)
+        return self * (near + near * (Pair(np.ones(1, complex)) - near * other))
+
     def __mul__(self, other: "Pair") -> "Pair":
         p, q = self.high, other.high
         real, imag = _product(p.real, q.real), _product(p.real, q.imag)

@@ -66,29 +66,26 @@ def four_bars(
         remedy = "Give 6 points, the angles at 4 of them; or 7 and 3, 8 and 2, or 9 and 1; or 5 points and both pivots"
         raise InputError(message, remedy, key="angles")
     expected, rng = COUNTS[problem.kind], np.random.default_rng([*problem.kind, seed])
-    found: Roots | None = None
-    radii, real = np.zeros(0), np.zeros(0, bool)
+    dyads, turns = np.zeros((0, 2, 4), complex), np.zeros((0, len(d)), complex)
+    marked, real = np.zeros((0, 2 + (problem.kind == NINE_POINTS), 4), complex), np.zeros(0, bool)
     for _ in range(ROUTES):
         start, roots = route(problem.kind, rng)
         ends, arrived = track(roots, start, problem)
-        proof = certificate(problem, certificate(problem, ends[arrived]).roots)  # with the Jacobian of refined ones
-        new = proof.roots[proof.proven]
-        radii = np.concatenate([radii, 0.5 * proof.uniqueness[proof.proven]])
-        real = np.concatenate([real, proof.real[proof.proven]])
-        both = new if found is None else Roots(np.concatenate([found.dyads, new.dyads]), np.concatenate([found.turns, new.turns]))
-        kept = distinct(both, problem, radii)
-        found, radii, real = both[kept], radii[kept], real[kept]
-        if len(found) >= expected:
+        proof = certificate(problem, ends[arrived])
+        new = (proof.roots.dyads, proof.roots.turns, proof.marks, proof.real)
+        both = [np.concatenate([old, more[proof.proven]]) for old, more in zip((dyads, turns, marked, real), new, strict=True)]
+        kept = distinct(both[2])
+        dyads, turns, marked, real = (each[kept] for each in both)
+        if len(dyads) >= expected:
             break
-    assert found is not None
-    shown = found[real]
+    shown = Roots(dyads[real], turns[real])
     if problem.kind == NINE_POINTS and len(shown):
-        three = cognates(shown, problem)
+        three = certificate(problem, cognates(shown, problem)).roots
         order = np.arange(len(three)).reshape(3, -1).T.ravel()
         shown = three[order]
     turned = np.unwrap(np.concatenate([np.zeros((len(shown), 1)), np.angle(1.0 + shown.turns)], axis=1), axis=1)
     joints, links = np.moveaxis(size * shown.dyads[..., [0, 2]], 2, 0)
-    return AllFourBars(problem.kind, expected, len(found), z[0] + joints, z[0] + joints - links, angle[0] + turned, size)
+    return AllFourBars(problem.kind, expected, len(dyads), z[0] + joints, z[0] + joints - links, angle[0] + turned, size)
 
 
 def _less_one(turn: Array) -> Complex:

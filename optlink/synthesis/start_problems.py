@@ -6,6 +6,7 @@ the complex plane to where they began, and the four-bars that move along exchang
 
 import itertools
 import sys
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import Array
 from optlink.synthesis.homotopy import LEAST, Problem, Roots, steps, track
 from optlink.synthesis.pairs import Complex
 
@@ -23,7 +23,7 @@ NINE_POINTS, FIVE_POINTS = (1, 8), (1, 4)  # the latter with given pivots
 COUNTS = {(4, 2): 30, (3, 4): 201, (2, 6): 1112, (1, 8): 1442, (1, 4): 36}
 """Four-bars of poses (with the first one) and further points; exchanged dyads, and cognates of nine points, count once."""
 
-SAME = 1e-6  # relative difference of keys of orbits that may be one
+SAME = 1e-8  # relative difference of the marks of certified four-bars that count as one
 LOOPS = 60  # at most
 _PLACE = 0.3137 + 0.7721j  # any point that is a symmetric function's argument
 
@@ -39,27 +39,32 @@ def cognates(roots: Roots, problem: Problem) -> Roots:
     return Roots(np.concatenate([each.dyads for each in found]), np.concatenate([each.turns for each in found]))
 
 
-def orbits(roots: Roots, problem: Problem) -> Complex:
-    """Return the dyads (B, 2 or 6, 2, 4) of the four-bars that count as one with each: exchanged ones, and cognates of points."""
-    count = len(roots)
-    if problem.pivots is not None:
-        return roots.dyads[:, None]
-    alike = cognates(roots, problem) if problem.kind == NINE_POINTS else roots
-    images = np.moveaxis(alike.dyads.reshape(-1, count, 2, 4), 0, 1)
-    return np.concatenate([images, images[:, :, ::-1]], axis=1)
+def marks(dyads: Any, problem: Problem, plain: Callable[[Any], Any] = np.asarray) -> Any:
+    """Return numbers (B, 2 or 3, 4) for each pivot, of nine points for those of all cognates, that an orbit has in common.
+
+    They are the pivot, the product of its joint and its link, which is the same for both cognates that have this pivot, and their
+    conjugates. The dyads may be numbers of any kind, of which `plain` makes arrays.
+    """
+    joints, links = dyads[:, :, :2], dyads[:, :, 2:]
+    pivots, products = joints - links, joints * links
+    (x, y), (a, b), (p, q) = ((each[:, 0], each[:, 1]) for each in (joints, pivots, products))
+    pairs = [(a, p), (b, q)]
+    if problem.kind == NINE_POINTS:
+        pairs.append(((b * x - a * y) / (x - y), p * q / ((x - y) * (x - y))))
+    return np.stack([np.concatenate([plain(pivot), plain(product)], axis=1) for pivot, product in pairs], axis=1)
 
 
-def distinct(roots: Roots, problem: Problem, radii: Array | float = 1e-5) -> list[int]:
-    """Return the indices of the first four-bar of each orbit; those nearer than `radii`, relative to coordinates, are one."""
-    images = orbits(roots, problem)
-    products = np.prod(images[..., 0] - images[..., 2] - _PLACE, axis=(1, 2))  # the same for all four-bars of an orbit
-    radii = np.broadcast_to(radii, len(roots))
+def distinct(marked: Complex, same: float = SAME) -> list[int]:
+    """Return the indices of the first four-bar of each orbit, by their marks (B, 2 or 3, 4) that differ relatively by `same`."""
+    products = np.prod(marked[:, :, 0] - _PLACE, axis=1)  # whatever the order of the pivots
     kept: list[int] = []
-    for k in range(len(roots)):
+    for k in range(len(marked)):
         others = np.array(kept, dtype=int)
-        near = others[np.abs(products[others] - products[k]) <= SAME * np.abs(products[k])]
-        apart = np.abs(images[near] - roots.dyads[k]) / np.maximum(np.abs(roots.dyads[k]), LEAST)
-        if not np.any(np.max(apart, axis=(2, 3)) <= radii[k]):
+        near = others[np.abs(products[others] - products[k]) <= 1e2 * same * np.abs(products[k])]
+        if not np.all(np.isfinite(marked[k])):
+            continue
+        apart = np.abs(marked[near][:, :, None] - marked[k]) / np.maximum(np.abs(marked[k]), LEAST)
+        if not np.any(np.all(np.any(np.all(apart <= same, axis=3), axis=2), axis=1)):
             kept.append(k)
     return kept
 
@@ -144,7 +149,7 @@ def monodromy(poses: int, points: int, seed: int = 0) -> tuple[Problem, Roots]:
             moved, arrived = track(moved, begin, end)
             moved = moved[arrived]
         both = Roots(np.concatenate([found.dyads, moved.dyads]), np.concatenate([found.turns, moved.turns]))
-        found = both[distinct(both, base)]
+        found = both[distinct(marks(both.dyads, base), 1e-5)]
         print(f"{poses} poses + {points} points: {len(found)} after {loop + 1} loops", file=sys.stderr)
         if len(found) == COUNTS[poses, points]:
             break

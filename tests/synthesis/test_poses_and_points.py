@@ -1,5 +1,6 @@
 """All four-bars through poses and points: counts, certificates, known linkages, cognates, and the compiled steps."""
 
+import functools
 import importlib.util
 
 import numpy as np
@@ -7,11 +8,11 @@ import pytest
 
 from optlink.errors import InputError
 from optlink.synthesis import homotopy, poses_and_points
-from optlink.synthesis.certificate import certificate
+from optlink.synthesis.certificate import _with_80_digits, _with_doubles, certificate
 from optlink.synthesis.homotopy import Problem, Roots, follow, track
 from optlink.synthesis.pairs import Pair
 from optlink.synthesis.poses_and_points import four_bars
-from optlink.synthesis.start_problems import COUNTS, cognates, distinct, packed, refined, stored, unpacked
+from optlink.synthesis.start_problems import COUNTS, cognates, distinct, marks, packed, refined, stored, unpacked
 
 WAMPLER = [(0.25, 0.0), (0.52, 0.1), (0.8, 0.7), (1.2, 1.0), (1.4, 1.3), (1.1, 1.48), (0.7, 1.4), (0.2, 1.0), (0.02, 0.4)]
 
@@ -94,7 +95,7 @@ def test_stored_problems_have_as_many_different_four_bars():
     for kind, count in COUNTS.items():
         problem, roots = stored(*kind)
         assert problem.kind == kind
-        assert len(distinct(roots, problem)) == count
+        assert len(distinct(marks(roots.dyads, problem))) == count
 
 
 def test_packed_numbers_keep_their_value_to_the_stored_digits():
@@ -111,7 +112,7 @@ def test_cognates_solve_the_same_problem_and_count_once():
     assert max(np.max(np.abs(by_dyads)), np.max(np.abs(by_turns))) < 1e-8
     swapped = Roots(three.dyads[:, ::-1], three.turns)
     both = Roots(np.concatenate([three.dyads, swapped.dyads]), np.concatenate([three.turns, swapped.turns]))
-    assert distinct(both, problem) == [0, 1, 2, 3]
+    assert distinct(marks(both.dyads, problem)) == [0, 1, 2, 3]
 
 
 def test_pairs_have_twice_the_digits_of_floats():
@@ -135,13 +136,19 @@ def test_pairs_have_twice_the_digits_of_floats():
         assert max(abs(s[k] - a[k] - c[k]), abs(t[k] - b[k] - d[k])) < 2.0**-100
 
 
-def proofs(shift):
+@functools.cache
+def four_poses_and_two_points():
     places, angles = random_targets((4, 2), 0)
     d = places[1:] - places[0]
     problem = Problem(d, np.conj(d), np.exp(1j * (angles[1:] - angles[0])) - 1.0)
     start, roots = stored(4, 2)
     ends, arrived = track(roots, start, problem)
     assert np.all(arrived)
+    return problem, ends
+
+
+def proofs(shift):
+    problem, ends = four_poses_and_two_points()
     return certificate(problem, Roots(ends.dyads * (1.0 + shift), ends.turns))
 
 
@@ -155,6 +162,41 @@ def test_a_certificate_refines_and_refuses():
     assert not np.all(proofs(1e-1).proven)
     assert np.array_equal(proof.real, near.real)
     assert 0 < proof.real.sum() < 30
+
+
+@pytest.mark.parametrize(("length", "enough"), [(1e5, True), (1e6, False)])
+def test_a_nearly_infinite_link_is_certified_and_real(length, enough):
+    """The end of such a rocker moves along a parabola that differs little from a line; doubles may not be `enough`."""
+    x, y, a, along = 1.0 + 0.3j, -0.4 + 0.8j, 0.2 - 0.5j, np.exp(0.4j)
+    pins, turns = a + (x - a) * np.exp(1j * np.linspace(0.0, 1.0, 9)), np.zeros(9, complex)
+    for k in range(1, 9):
+        angle = np.angle(1.0 + turns[k - 1])
+        for _ in range(20):
+            far = pins[k] + (y - x) * np.exp(1j * angle) - y
+            by_angle = ((1j * (y - x) * np.exp(1j * angle)) * np.conj(along + far / length)).real
+            angle -= ((far * np.conj(along)).real + abs(far) ** 2 / (2.0 * length)) / by_angle
+        turns[k] = np.exp(1j * angle) - 1.0
+    d = (pins - (1.0 + turns) * x)[1:] - (pins[0] - x)
+    dyads = np.array(
+        [[[x, x.conjugate(), x - a, (x - a).conjugate()], [y, y.conjugate(), *(length * along ** np.array([1, -1]))]]]
+    )
+    problem, root = Problem(d, np.conj(d), np.zeros(0, complex)), Roots(dyads, turns[None, 1:])
+    assert _with_doubles(problem, root).proven[0] == enough
+    proof = certificate(problem, root)
+    assert proof.proven[0]
+    assert proof.real[0]
+    assert np.max(np.abs(proof.roots.dyads / dyads - 1.0)) < 1e-2  # a change of the points by rounding changes it by so much
+
+
+def test_eighty_digits_and_doubles_prove_the_same():
+    for problem, roots in (four_poses_and_two_points(), stored(1, 4)):
+        one = certificate(problem, roots[:3])
+        for k in range(3):
+            other = _with_80_digits(problem, Roots(roots.dyads[k : k + 1] * (1.0 + 1e-9), roots.turns[k : k + 1]))
+            assert np.max(np.abs(other.roots.dyads / one.roots.dyads[k] - 1.0)) < 1e-13
+            assert np.max(np.abs(other.marks / one.marks[k] - 1.0)) < 1e-12
+            assert 0.1 < other.uniqueness[0] / one.uniqueness[k] < 10.0
+            assert other.existence[0] < 1e-40
 
 
 def test_paths_continue_with_twice_the_digits():
