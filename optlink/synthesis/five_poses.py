@@ -421,6 +421,12 @@ def link(point: complex, pivot: complex, size: float, *, slides: bool = False) -
     return Dyad(np.array(begin), np.array(end), True, size)
 
 
+def seen_from_crank(inputs: Array, outputs: Array, *, slides: bool) -> tuple[Complex, Array]:
+    """Return places and angles of the output link as seen from the crank; see `couplers`."""
+    phi, rise = inputs - inputs[0], outputs - outputs[0]
+    return (rise if slides else np.ones(len(phi))) * np.exp(-1j * phi), -phi if slides else rise - phi
+
+
 def couplers(inputs: Array, outputs: Array, *, slides: bool = False) -> tuple[FivePoses, tuple[FourBarSolution, ...]]:
     """Return all four-bars whose output turns as prescribed while the crank turns: 1 or 3 real ones, some with infinite links.
 
@@ -432,22 +438,23 @@ def couplers(inputs: Array, outputs: Array, *, slides: bool = False) -> tuple[Fi
     inputs, outputs : array (5,) [rad]
         Angles of the crank, and of the output or, if it `slides`, its coordinate [m] along x, from which the sizes follow.
     """
-    phi = inputs - inputs[0]
-    seen = np.exp(-1j * phi)
-    turned = -phi if slides else outputs - outputs[0] - phi
-    along = outputs - outputs[0] if slides else np.ones(len(phi))
-    found = dyads(along * seen, turned)
+    found = dyads(*seen_from_crank(inputs, outputs, slides=slides))
     solutions = []
     for dyad in found.real:
         if dyad.kind != "RR" or (abs(complex(*dyad.pivot[:2])) <= 1e-7 * abs(dyad.pivot[2]) and not slides):
             continue
-        pin, joint = (complex(*part[:2]) / part[2] for part in (dyad.pivot, dyad.point))
-        driver = link(pin, 0j, 1.0)
-        follower = link(joint, 1j if slides else 1.0 + 0j, 1.0, slides=slides)
-        carried = joint + along - along[0] if slides else 1.0 + np.exp(1j * (outputs - outputs[0])) * (joint - 1.0)
-        pins = pin * np.exp(1j * phi)
-        solutions.append(FourBarSolution(driver, follower, pins, np.angle((carried - pins) / (joint - pin))))
+        solutions.append(moved(dyad, inputs, outputs, slides=slides))
     return found, tuple(solutions)
+
+
+def moved(coupler: Dyad, inputs: Array, outputs: Array, *, slides: bool) -> FourBarSolution:
+    """Return the linkage of a coupler, a dyad from the crank to the output as these begin, at all positions; see `couplers`."""
+    rise = outputs - outputs[0]
+    pin, joint = (complex(*part[:2]) / part[2] for part in (coupler.pivot, coupler.point))
+    driver, follower = link(pin, 0j, 1.0), link(joint, 1j if slides else 1.0 + 0j, 1.0, slides=slides)
+    carried = joint + rise if slides else 1.0 + np.exp(1j * rise) * (joint - 1.0)
+    pins = pin * np.exp(1j * (inputs - inputs[0]))
+    return FourBarSolution(driver, follower, pins, np.angle((carried - pins) / (joint - pin)))
 
 
 def timed_paths(places: Sequence[complex] | Complex, inputs: Array) -> tuple[FivePoses, tuple[FourBarSolution, ...]]:
