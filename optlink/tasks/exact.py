@@ -148,8 +148,8 @@ def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
             "pivots or moving points have listed exact solutions"
         )
         remedy = (
-            "Give four or five poses, or targets with a free start, nine points, four poses and two points, three and four or two "
-            "and six, with all dimensions free, or five points with fixed pivots; or leave out --all and requirement.exact"
+            "Give four or five poses, or targets with a free start, nine points, four poses and two points, three and four or "
+            "two and six, with all dimensions free, or five points with fixed pivots; or leave out --all and requirement.exact"
         )
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()

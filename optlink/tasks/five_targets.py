@@ -181,7 +181,7 @@ class FiveTargets:
         words = ("forward", "backward") if slides else ("left", "right")
         mode = words[side < 0] if variant is None else mode_of(self.files[variant])
         certified = pair.crank.certified and pair.follower.certified
-        design, figure = None, None
+        design, figure, error = None, None, None
         if not reasons:
             reasons += _other_starts(task, values)
         if not reasons and variant is None:
@@ -191,9 +191,9 @@ class FiveTargets:
             values = design.values
             reasons += _failures(design)
             transmission = transmission if reasons else design.least_transmission
-            figure = self._figure(design)
+            figure, error = self._figure(design), design.largest_between if task.law_given else None
         shown = {name: value for name, value in values.items() if name in task.quantities}
-        solution = ExactSolution(shown, mode, transmission, certified, tuple(reasons), figure, float(phi[0]))
+        solution = ExactSolution(shown, mode, transmission, certified, tuple(reasons), figure, float(phi[0]), error)
         return _Found(solution, variant or 0, design)
 
     def _design(self, variant: int, values: Mapping[str, float], phi: Array) -> LinkageDesign:

@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import optlink
+from optlink.cli.app import app
 from tests.synthesis.test_five_poses import cranked
 from tests.tasks.test_exact_solutions import LENGTHS, PLACED, motion_of
 
@@ -80,6 +82,7 @@ def check(result, known):
     assert all(design.exact and design.valid for design in result.designs)
 
 
+@pytest.mark.slow
 def test_four_points_of_a_function_have_a_family_of_four_bars():
     raw, sizes, _ = function(0, 4)
     result = optlink.synthesis.exact(optlink.read(raw))
@@ -116,6 +119,7 @@ def test_four_timed_points_have_a_family_of_four_bars():
     assert "closed curve of cranks" in result.exact_solutions.sentence
 
 
+@pytest.mark.slow
 def test_three_points_from_given_starts_have_one_linkage():
     """With the output a half turn further, a length would be negative."""
     raw, sizes, (start, base) = function(0, 3)
@@ -129,3 +133,65 @@ def test_three_points_from_given_starts_have_one_linkage():
     raw["requirement"] |= {"start": degrees(start + math.radians(40.0)), "zero": f"{float(base)!r} m"}
     result = optlink.synthesis.exact(optlink.read(raw))
     assert [result.design[name] for name in ("crank.length", "rod.length", "G.offset")] == pytest.approx([a, b, offset], rel=1e-9)
+
+
+LOG = {
+    "title": "precision points of a logarithm",
+    "mechanism": {"type": "four-bar", **{name: {"bounds": ["5 mm", "2000 mm"]} for name in ("crank", "coupler", "rocker")}},
+    "requirement": {
+        "kind": "function",
+        "law": {"function": "log10(x)", "x": [1, 2], "input": "60 deg", "output": "60 deg"},
+        "points": 5,
+        "spacing": "chebyshev",
+    },
+    "limits": {"crank": "span", "transmission_angle": ["20 deg", "160 deg"]},
+}
+LOG["mechanism"] |= {"frame": "100 mm", "assembly": "either"}
+
+
+def structural_error(values):
+    """Errors [deg] of the rocker at crank rotations [deg] 0 ... 60, by the law of cosines for both positions of the joint."""
+    a, b, c, phi0, psi0 = (values[name] for name in ("crank", "coupler", "rocker", "phi0", "psi0"))
+    x = np.linspace(0.0, 60.0, 6002)
+    pins = a * np.exp(1j * (phi0 + np.radians(x)))
+    to = pins - 0.1
+    inner = np.arccos((c * c + np.abs(to) ** 2 - b * b) / (2.0 * c * np.abs(to)))
+    wanted = np.degrees(psi0) + 60.0 * np.log10(1.0 + x / 60.0) / math.log10(2.0)
+    ways = [(np.degrees(np.angle(to) + way * inner) - wanted + 180.0) % 360.0 - 180.0 for way in (1.0, -1.0)]
+    return x, min(ways, key=lambda error: np.max(np.abs(error)))
+
+
+def test_five_precision_points_at_chebyshev_spacing():
+    """The error vanishes at the five points alone, alternates between them, and is less than with evenly spaced points."""
+    result = optlink.synthesis.exact(optlink.read(LOG))
+    x, error = structural_error(result.design)
+    points = 30.0 - 30.0 * np.cos(np.pi * (2.0 * np.arange(5) + 1.0) / 10.0)
+    assert np.degrees(result.best.crank_angles - result.design["phi0"]) == pytest.approx(points, abs=1e-9)
+    zeros = x[:-1][np.sign(error[1:]) != np.sign(error[:-1])]
+    assert zeros == pytest.approx(points, abs=0.0101)
+    (one,) = result.exact_solutions.solutions
+    assert math.degrees(one.between) == pytest.approx(np.max(np.abs(error)), rel=1e-4)
+    even = optlink.synthesis.exact(optlink.read(LOG).override({"requirement.spacing": "even", "requirement.points": 4}))
+    assert even.exact_solutions.solutions[0].between > 1.2 * one.between
+    shown = CliRunner().invoke(app, ["solve", "function-log10", "--all"])
+    assert shown.exit_code == 2  # the largest error anywhere has no precision points
+
+
+def test_three_precision_points_equal_the_equations_of_freudenstein():
+    """y = x^1.5 for 1 <= x <= 4, cranks from 30 deg and rockers from 90 deg over 90 deg, with negative lengths as stated."""
+    law = {"function": "x^1.5", "x": [1, 4], "input": "90 deg", "output": "90 deg"}
+    starts = {"requirement.law": law, "requirement.from": "30 deg", "requirement.psi0": "90 deg", "requirement.points": 3}
+    file = optlink.read(LOG).override(starts)
+    x = np.array([2.5 - 1.5 * math.cos(math.pi / 6.0), 2.5, 2.5 + 1.5 * math.cos(math.pi / 6.0)])
+    phi, psi = np.radians(30.0 + 30.0 * (x - 1.0)), np.radians(90.0 + 90.0 * (x**1.5 - 1.0) / 7.0)
+    k1, k2, k3 = np.linalg.solve(np.stack([np.cos(psi), -np.cos(phi), np.ones(3)], axis=1), np.cos(phi - psi))
+    assert k1 < 0.0 > k2
+    (one,) = optlink.synthesis.exact(file).exact_solutions.solutions
+    a, c = 1.0 / k1, 1.0 / k2
+    sizes = [-0.1 * a, 0.1 * math.sqrt(a * a + c * c + 1.0 - 2.0 * a * c * k3), -0.1 * c]
+    assert [one.values[name] for name in ("crank", "coupler", "rocker")] == pytest.approx(sizes, rel=1e-9)
+    assert any(reason.startswith("outside your bounds: phi0 -150 deg") for reason in one.reasons)
+    turned = file.override({"requirement.from": "-150 deg", "requirement.psi0": "-90 deg"})
+    result = optlink.synthesis.exact(turned)
+    assert result.best.exact
+    assert result.exact_solutions.solutions[0].between > 0.0
