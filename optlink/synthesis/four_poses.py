@@ -69,6 +69,8 @@ class DyadCurves:
         """Return points and pivots at rows (n,) that need not be whole numbers: of the curves themselves, not of their chords."""
         if self.trace is not None:
             return self._placed(self.trace(rows))
+        if self.special:
+            return np.full(len(rows), np.nan + 0j), np.full(len(rows), np.nan + 0j)
         low = np.clip(np.floor(rows).astype(int), 0, len(self.homogeneous[0]) - 1)  # of a line
         high, share = np.minimum(low + 1, len(self.homogeneous[0]) - 1), (rows - low)[:, None]
         one, other = ((1.0 - share) * part[low] + share * part[high] for part in self.homogeneous)

@@ -20,7 +20,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.requirements.base import MARK, START, pose_angles
 from optlink.problem.terms import Goal
 from optlink.synthesis.families import three_points
-from optlink.synthesis.five_poses import POSES, FourBarSolution, couplers, dyads, moved, timed_paths
+from optlink.synthesis.five_poses import ONE_CENTRE, POSES, TRANSLATED, FourBarSolution, couplers, dyads, moved, timed_paths
 from optlink.tasks.results.design import LinkageDesign
 from optlink.tasks.results.exact import ExactSolution, ExactSolutions
 from optlink.tasks.search import mode_of
@@ -145,7 +145,8 @@ class FiveTargets:
         sliders = sum(dyad.kind != "RR" for dyad in found.real) + frame
         certified, either = sum(dyad.certified for dyad in found.real), task.requirement.kind == "motion"
         linkage = "four-bar" if task.four_bar else "slider-crank"
-        return ExactSolutions(kind, len(found.real), certified, found.complex, sliders, found.special, either, (), linkage), pairs
+        special = in_words(task, found.special)
+        return ExactSolutions(kind, len(found.real), certified, found.complex, sliders, special, either, (), linkage), pairs
 
     @property
     def summary(self) -> ExactSolutions:
@@ -190,6 +191,8 @@ class FiveTargets:
             design = self._design(variant, values, phi)
             values = design.values
             reasons += _failures(design)
+            if not reasons and not task.goals and not design.exact:
+                reasons.append("rounding: small errors of its sizes move it off the targets")
             transmission = transmission if reasons else design.least_transmission
             figure, error = self._figure(design), design.largest_between if task.law_given else None
         shown = {name: value for name, value in values.items() if name in task.quantities}
@@ -208,6 +211,23 @@ class FiveTargets:
             angles = task.crank_angles(full, None)
         checked = validate(task, full, angles)
         return LinkageDesign(file, full, angles, checked.objective, Status.NOT_SEARCHED, checked)
+
+
+def in_words(task: DesignProblem, special: str) -> str:
+    """Return a sentence about special poses in the words of a problem, whose body need not be one of the linkage."""
+    if not special or task.requirement.kind == "motion":
+        return special
+    if task.law_given:
+        known = {
+            TRANSLATED: "the output turns as the crank does, as that of any parallelogram",
+            ONE_CENTRE: "the output does not move",
+        }
+        return known.get(special, f"of the output as seen from the crank: {special}")
+    known = {
+        TRANSLATED: "the crank does not turn between the points",
+        ONE_CENTRE: "the points lie on a circle, about whose centre they turn as the crank does: a crank alone passes them",
+    }
+    return known.get(special, f"of a body that turns with the crank, with the points as its places: {special}")
 
 
 class ThreePoints(FiveTargets):

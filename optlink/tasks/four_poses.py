@@ -30,6 +30,7 @@ from optlink.tasks.five_targets import (
     applies as of_five_targets,
     determined,
     given_starts,
+    in_words,
     loop_of,
     marked,
     rises,
@@ -44,6 +45,7 @@ KINDS_OF = {2: "two poses with given joints", 3: "three poses with given joints"
 DESIGNS = 6  # largest number of listed four-bars
 TRIED = 40  # largest number of four-bars that are validated
 FRAME_LENGTH = "frame length"
+NO_LINKAGE = len(DEFECTS) - 1
 MEASURED, CLIMBED = 100, 3  # pairs of dyads of which a quantity is measured, and best ones that are improved
 STEPS = (9, 3, 1)  # of the dyads along a curve, to better ones
 GRIDS, FINER, LAST = 40, 4, 1e-3  # most grids about a best pair, how much finer each is than the former, and the finest one
@@ -141,27 +143,29 @@ class FourTargets(FiveTargets):
     def __init__(self, files: Sequence[ProblemFile], goal: Goal | None = None, chosen: tuple[int, int] | None = None) -> None:
         self.family = family_of(files[0].spec)
         self.curves, self.followers = self.family.drivers, self.family.followers
-        self.chosen, self.sentence = chosen, self.curves.special or self.followers.special
+        self.chosen = chosen
+        self.sentence = in_words(files[0].spec, self.curves.special or self.followers.special)
         super().__init__(files, goal)
         self.found = self.found[:DESIGNS]
 
     def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
         """Return how many linkages meet the targets, and varied ones that do so within the bounds, best first."""
-        found, task = self.curves, self.task
+        curves, task = self.curves, self.task
         for row in self.chosen or ():
-            if not 0 <= row < len(found.points) or np.isnan(found.points[row, 0]):
-                message = found.special or "no dyad of finite lengths"
+            if not 0 <= row < len(curves.points) or np.isnan(curves.points[row, 0]):
+                message = curves.special or "no dyad of finite lengths"
                 raise InputError(message, "Give a row of `dyad_curves`", self.files[0].file, "driver, follower", row)
-        note = "; ".join(dict.fromkeys(filter(None, (found.note, self.followers.note))))
-        if len(found.points) == len(self.followers.points) == 1:  # three poses: their only four-bar
-            finite = [not np.isnan(side.dyads[0][0]) for side in (found, self.followers)]
+        note = "; ".join(dict.fromkeys(filter(None, (curves.note, self.followers.note))))
+        if len(curves.points) == len(self.followers.points) == 1:  # three poses: their only four-bar
+            finite = [not np.isnan(side.dyads[0][0]) for side in (curves, self.followers)]
             counts = ExactSolutions(KINDS_OF[3], 2, 2, 0, 2 - sum(finite), "", False, (), roots=2, counted="dyads", note=note)
             return counts, [self._linkage(0, 0)] if all(finite) else []
         rows = [self.chosen] if self.chosen else [] if self.sentence else list(self._best())
-        kind = KINDS_OF[len(found.places)] if task.requirement.kind == "motion" else f"four {TARGETS[task.law_given]}"
+        kind = KINDS_OF[len(curves.places)] if task.requirement.kind == "motion" else f"four {TARGETS[task.law_given]}"
         linkage = "four-bar" if task.four_bar else "slider-crank"
         counts = ExactSolutions(kind, 0, 0, 0, 0, self.sentence, False, (), linkage, note=note)
-        return counts, [self._linkage(i, k) for i, k in rows]
+        found = [self.family.positions(np.array([float(i)]), np.array([float(k)])) for i, k in rows]
+        return counts, [one[0, 0] for one in found if self.chosen or one.pairs.defect[0, 0] != NO_LINKAGE]
 
     def _linkage(self, driver: float, follower: float) -> FourBarSolution:
         """Return the linkage of two rows of the family."""

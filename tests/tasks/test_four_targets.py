@@ -195,3 +195,38 @@ def test_three_precision_points_equal_the_equations_of_freudenstein():
     result = optlink.synthesis.exact(turned)
     assert result.best.exact
     assert result.exact_solutions.solutions[0].between > 0.0
+
+
+SAID = [
+    ([0, 20, 40, 60, 80], [0, 20, 40, 60, 80], "five points of a function: the output turns as the crank does"),
+    ([0, 20, 40, 60], [0, 20, 40, 60], "four points of a function: the output turns as the crank does"),
+    ([0, 20, 40, 60, 80], [0, 0, 0, 0, 0], "the output does not move"),
+    ([0, 20, 40, 60], [0, 0, 0, 0], "the output does not move"),
+    ([0, 20, 40, 60, 80], [0, 10, 0, 10, 0], "within each of two groups of poses"),
+    ([0, 90, 180, 270, 360], [0, 10, 20, 10, 0], "of the output as seen from the crank: poses 1 and 5 are the same"),
+]
+
+
+@pytest.mark.parametrize(("phi", "psi", "words"), SAID)
+def test_special_points_of_functions_are_told(phi, psi, words):
+    raw, *_ = function(0, 5)
+    raw["requirement"]["law"] = {"phi": [f"{x} deg" for x in phi], "psi": [f"{y} deg" for y in psi]}
+    found = optlink.synthesis.exact(optlink.read(raw)).exact_solutions
+    assert words in found.sentence
+    assert found.solutions == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [4, 5])
+def test_special_timed_points_are_told(count):
+    """On a circle at the rate of the crank; on an ellipse, whose cranks lead to a trammel that four points do not tell."""
+    raw, *_ = timed(0)
+    angles = np.radians([0.0, 20.0, 45.0, 60.0, 80.0][:count])
+    for height in (1.0, 0.5):
+        places = zip(np.cos(angles).tolist(), (height * np.sin(angles)).tolist(), angles.tolist(), strict=True)
+        rows = [{"x": f"{x!r} m", "y": f"{y!r} m", "crank": degrees(at)} for x, y, at in places]
+        found = optlink.synthesis.exact(optlink.read(raw).override({"requirement.points": rows})).exact_solutions
+        if height == 1.0:
+            assert "a crank alone passes them" in found.sentence
+        elif count == 5:
+            assert "as in an elliptic trammel" in found.sentence
