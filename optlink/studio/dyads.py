@@ -12,14 +12,14 @@ from optlink.problem.quantity import quantity_key
 from optlink.studies.grid import exact_text
 from optlink.studio.design import Design, design_of
 from optlink.studio.document import Document
-from optlink.tasks.four_poses import applies, dyad_curves, four_bar_of_dyads
+from optlink.tasks.four_poses import dyad_curves, four_bar_of_dyads, guided
 
 MAX_REACH = 30.0  # largest distance of what is drawn from the first pose, as a multiple of the size of the poses
 
 
 def offered(problem: ProblemFile) -> bool:
     """Return whether two dyads of a curve make a design of a problem."""
-    return problem.task == "path" and applies(problem.spec)
+    return problem.task == "path" and guided(problem.spec)
 
 
 def curves(problem: ProblemFile, driver: Any) -> dict[str, Any]:

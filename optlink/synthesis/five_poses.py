@@ -38,6 +38,7 @@ INFINITE = 1e-9  # homogeneous coordinate, relative to the others and the larges
 SAME = 1e-9  # distance over which Newton steps may correct a root that is certified
 SPECIAL = 1e-10  # relative size of quantities that vanish for special poses
 DOUBTFUL = 1e-6  # last pivot of the minors below which the poses may be special within their rounding
+VANISHING = Decimal("1e-14")  # last pivot of the equations of a point, relative to the first one, below which it is a line
 ROUNDING = 2.0**-51  # relative uncertainty of coefficients in doubles
 EXACT = Decimal("1e-60")  # that of coefficients in decimals for the numbers as given
 MAX_DIGITS = 4000  # of products in exact arithmetic, which have some hundreds
@@ -51,6 +52,7 @@ NO_CIRCLE = "the body turns in pose {} only: no link leads through the others, a
 CIRCLE = "the body turns in pose {} only, and the others lie on a circle or a line: infinitely many links lead through them"
 FOUR_CENTRE = "in all poses but {} the body turns about one point: infinitely many links join that point to the frame"
 TWO_ANGLES = "the body has only two different angles, which is not supported: change one angle by 0.001 deg"
+GROUPS = "the body turns about one point within each of two groups of poses: infinitely many links join that point to the frame"
 MANY = "the poses are in special positions: infinitely many dyads pass through them"
 
 _PERMUTATIONS = [(order, round(float(np.linalg.det(np.eye(3)[list(order)])))) for order in itertools.permutations(range(3))]
@@ -153,7 +155,10 @@ def dyads(places: Sequence[complex] | Complex, angles: Sequence[float] | Array) 
         bound = [[[Decimal(float(entry)) for entry in row] for row in one] for one in equations(scaled, turn)[1]]
         real = []
         for root, order in roots:
-            pair = _point(q, root), root
+            point, depth = _point(q, root)
+            if depth <= VANISHING:
+                return FivePoses(special=GROUPS)
+            pair = point, root
             if max(abs(part[2]) for part in pair) <= INFINITE:  # of two sliders, between which the body would not turn
                 other += order
                 continue
@@ -254,11 +259,11 @@ def _roots(null: Matrix) -> tuple[list[tuple[list[Decimal], int]], int]:
     return zeros, 4 - sum(order for _, order in zeros)
 
 
-def _point(q: list[Matrix], pivot: list[Decimal]) -> list[Decimal]:
-    """Return the point that belongs to a pivot, its largest coordinate 1."""
+def _point(q: list[Matrix], pivot: list[Decimal]) -> tuple[list[Decimal], Decimal]:
+    """Return the point that belongs to a pivot, its largest coordinate 1, and a number that is 0 for a line of them."""
     rows = [[sum((a * b for a, b in zip(row, pivot, strict=True)), Decimal(0)) for row in one] for one in q]
-    (point,), _ = null_space(rows, 2)
-    return _largest_one(point)
+    (point, *_), last = null_space(rows, 2)
+    return _largest_one(point), abs(last)
 
 
 def _largest_one(vector: list[Decimal]) -> list[Decimal]:
@@ -421,6 +426,12 @@ def link(point: complex, pivot: complex, size: float, *, slides: bool = False) -
     return Dyad(np.array(begin), np.array(end), True, size)
 
 
+def seen_from_crank(inputs: Array, outputs: Array, *, slides: bool) -> tuple[Complex, Array]:
+    """Return places and angles of the output link as seen from the crank; see `couplers`."""
+    phi, rise = inputs - inputs[0], outputs - outputs[0]
+    return (rise if slides else np.ones(len(phi))) * np.exp(-1j * phi), -phi if slides else rise - phi
+
+
 def couplers(inputs: Array, outputs: Array, *, slides: bool = False) -> tuple[FivePoses, tuple[FourBarSolution, ...]]:
     """Return all four-bars whose output turns as prescribed while the crank turns: 1 or 3 real ones, some with infinite links.
 
@@ -432,22 +443,23 @@ def couplers(inputs: Array, outputs: Array, *, slides: bool = False) -> tuple[Fi
     inputs, outputs : array (5,) [rad]
         Angles of the crank, and of the output or, if it `slides`, its coordinate [m] along x, from which the sizes follow.
     """
-    phi = inputs - inputs[0]
-    seen = np.exp(-1j * phi)
-    turned = -phi if slides else outputs - outputs[0] - phi
-    along = outputs - outputs[0] if slides else np.ones(len(phi))
-    found = dyads(along * seen, turned)
+    found = dyads(*seen_from_crank(inputs, outputs, slides=slides))
     solutions = []
     for dyad in found.real:
         if dyad.kind != "RR" or (abs(complex(*dyad.pivot[:2])) <= 1e-7 * abs(dyad.pivot[2]) and not slides):
             continue
-        pin, joint = (complex(*part[:2]) / part[2] for part in (dyad.pivot, dyad.point))
-        driver = link(pin, 0j, 1.0)
-        follower = link(joint, 1j if slides else 1.0 + 0j, 1.0, slides=slides)
-        carried = joint + along - along[0] if slides else 1.0 + np.exp(1j * (outputs - outputs[0])) * (joint - 1.0)
-        pins = pin * np.exp(1j * phi)
-        solutions.append(FourBarSolution(driver, follower, pins, np.angle((carried - pins) / (joint - pin))))
+        solutions.append(moved(dyad, inputs, outputs, slides=slides))
     return found, tuple(solutions)
+
+
+def moved(coupler: Dyad, inputs: Array, outputs: Array, *, slides: bool) -> FourBarSolution:
+    """Return the linkage of a coupler, a dyad from the crank to the output as these begin, at all positions; see `couplers`."""
+    rise = outputs - outputs[0]
+    pin, joint = (complex(*part[:2]) / part[2] for part in (coupler.pivot, coupler.point))
+    driver, follower = link(pin, 0j, 1.0), link(joint, 1j if slides else 1.0 + 0j, 1.0, slides=slides)
+    carried = joint + rise if slides else 1.0 + np.exp(1j * rise) * (joint - 1.0)
+    pins = pin * np.exp(1j * (inputs - inputs[0]))
+    return FourBarSolution(driver, follower, pins, np.angle((carried - pins) / (joint - pin)))
 
 
 def timed_paths(places: Sequence[complex] | Complex, inputs: Array) -> tuple[FivePoses, tuple[FourBarSolution, ...]]:

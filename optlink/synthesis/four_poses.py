@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import TURN, Array
-from optlink.synthesis.five_poses import INFINITE, MANY, SPECIAL, Complex, equations, special
+from optlink.synthesis.five_poses import INFINITE, MANY, SPECIAL, Complex, FourBarSolution, equations, link, special
 
 POSES = 4
 SAMPLES = 512  # points of each closed curve
@@ -47,7 +47,8 @@ class DyadCurves:
     at constant distance from them (centre-point curve); NaN between closed curves, and where one of both lies at infinity.
     `homogeneous`: the same without a gap at infinity, (n, 3) each, of unit length, with the unit `size` [m] about `places[0]`.
     `poles` (k, 2) [m]: where the body turns from one pose to another. `special`: a sentence about poses that have no such
-    curves, `note` about such as nearly have none. `places` x + iy [m] and `angles` [rad] are the poses.
+    curves, `note` about such as nearly have none. `places` x + iy [m] and `angles` [rad] are the poses; `trace` computes dyads
+    between rows.
     """
 
     places: Complex
@@ -57,12 +58,27 @@ class DyadCurves:
     poles: Array = field(default_factory=lambda: np.empty((0, 2)))
     special: str = ""
     note: str = ""
+    trace: "_Trace | None" = field(default=None, repr=False)
 
     @cached_property
     def dyads(self) -> tuple[Complex, Complex]:
         """Points and pivots as complex numbers."""
+        return self._placed(self.homogeneous)
+
+    def between(self, rows: Array) -> tuple[Complex, Complex]:
+        """Return points and pivots at rows (n,) that need not be whole numbers: of the curves themselves, not of their chords."""
+        if self.trace is not None:
+            return self._placed(self.trace(rows))
+        if self.special:
+            return np.full(len(rows), np.nan + 0j), np.full(len(rows), np.nan + 0j)
+        low = np.clip(np.floor(rows).astype(int), 0, len(self.homogeneous[0]) - 1)  # of a line
+        high, share = np.minimum(low + 1, len(self.homogeneous[0]) - 1), (rows - low)[:, None]
+        one, other = ((1.0 - share) * part[low] + share * part[high] for part in self.homogeneous)
+        return self._placed((one, other))
+
+    def _placed(self, homogeneous: tuple[Array, Array]) -> tuple[Complex, Complex]:
         found = []
-        for part in self.homogeneous:
+        for part in homogeneous:
             x, y, w = np.where(np.abs(part[:, 2:]) > INFINITE, part, np.nan).T
             found.append(self.places[0] + self.size * ((x / w) + 1j * (y / w)))
         missing = np.isnan(found[0]) | np.isnan(found[1])
@@ -131,11 +147,10 @@ def curves(places: Sequence[complex] | Complex, angles: Sequence[float] | Array,
     sheets = _Sheets(equations(scaled, turn)[0], poles[int(np.argmax(sines))])
     if sheets.vanishes or not sheets.intervals:
         return DyadCurves(z, turn, size, special=MANY)
-    gap = np.full((1, 3), np.nan)
-    traced = [sheets.traced(low, high, sheet, samples) for low, high, sheet in sheets.intervals]
-    points, pivots = (np.concatenate([part for one in traced for part in (one[k], gap)]) for k in (0, 1))
+    trace = _Trace(sheets, [(*ends, sheets.spaced(*ends, samples)) for ends in sheets.intervals])
     finite = poles[sines > SPECIAL, :2]
-    return DyadCurves(z, turn, size, (points, pivots), [z[0].real, z[0].imag] + size * finite)
+    every = trace(np.arange(len(trace.parts) * (samples + 1.0)))
+    return DyadCurves(z, turn, size, every, [z[0].real, z[0].imag] + size * finite, trace=trace)
 
 
 def dyads_of_joint(places: Complex, angles: Array, joint: complex, *, fixed: bool, samples: int = SAMPLES) -> DyadCurves:
@@ -250,8 +265,8 @@ class _Sheets:
         points = crossed[np.arange(len(best)), best]
         return points / np.linalg.norm(points, axis=1)[:, None], pivots
 
-    def traced(self, low: float, high: float, sheet: float, samples: int) -> tuple[Array, Array]:
-        """Return points and pivots along a closed curve, evenly spaced for both together on the sphere of unit vectors."""
+    def spaced(self, low: float, high: float, sheet: float, samples: int) -> Array:
+        """Return places along a closed curve, evenly spaced for points and pivots together on the sphere of unit vectors."""
         along = np.linspace(0.0, 1.0, samples)
         for _ in range(ROUNDS):
             chords = np.zeros(len(along) - 1)
@@ -259,7 +274,26 @@ class _Sheets:
                 chords += np.linalg.norm(np.cross(one[1:], one[:-1]), axis=1)
             length = np.concatenate([[0.0], np.cumsum(chords + 1e-3 * np.mean(chords))])
             along = np.interp(np.linspace(0.0, length[-1], samples), length, along)
-        return self.dyads(low, high, sheet, along)
+        return along
+
+
+@dataclass(frozen=True)
+class _Trace:
+    """Closed curves one after another with a gap behind each: their ends, sheets and places of the rows along them."""
+
+    sheets: _Sheets
+    parts: Sequence[tuple[float, float, float, Array]]
+
+    def __call__(self, rows: Array) -> tuple[Array, Array]:
+        """Return points and pivots (n, 3) at rows, whole or not; NaN at gaps."""
+        found = np.full((2, len(rows), 3), np.nan)
+        count = len(self.parts[0][3])
+        part = np.floor(rows / (count + 1)).astype(int)
+        for k, (low, high, sheet, along) in enumerate(self.parts):
+            own = np.flatnonzero((part == k) & (rows - k * (count + 1) < count))
+            places = np.interp(rows[own] - k * (count + 1), np.arange(count), along)
+            found[:, own] = self.sheets.dyads(low, high, sheet, places)
+        return found[0], found[1]
 
 
 def _carried(places: Complex, angles: Array, points: Complex) -> Complex:
@@ -274,30 +308,83 @@ def _in_order(phi: Array) -> NDArray[np.bool_]:
 
 
 def pairs(places: Complex, angles: Array, driver: tuple[Complex, Complex], follower: tuple[Complex, Complex]) -> Pairs:
-    """Return what keeps the four-bars of drivers and followers, each points and pivots [m], from passing the poses in order.
+    """Return what keeps the four-bars of drivers and followers, each points and pivots [m], from passing the poses in order."""
+    return of_dyads(places, angles, driver, follower).pairs
 
-    The closed form of `optlink.synthesis.five_poses.defects`, for all pairs at once; a defect hides those that come after it.
-    """
+
+def of_dyads(places: Complex, angles: Array, driver: tuple[Complex, Complex], follower: tuple[Complex, Complex]) -> "Positions":
+    """Return the four-bars of drivers and followers, each points and pivots [m] (n,), at poses of their coupler."""
     (begin, pivot), (end, fixed) = ([part[:, None] for part in driver], [part[None, :] for part in follower])
     pin, joint = _carried(places, angles, begin), _carried(places, angles, end)
-    a, b, c, g = (np.abs(vector) for vector in (begin - pivot, end - begin, end - fixed, fixed - pivot))
-    with np.errstate(all="ignore"):
-        sine = ((joint - pin) * np.conj(joint - fixed[..., None])).imag / (b * c)[..., None]
-        lowest, highest = ((a * a + g * g - (b + way * c) ** 2) / (2.0 * a * g) for way in (1.0, -1.0))
-        phi = np.angle((pin - pivot[..., None]) / (fixed - pivot)[..., None])
-        cosines = np.array([(b * b + c * c - (g + way * a) ** 2) / (2.0 * b * c) for way in (1.0, -1.0)])
-    turns = (lowest <= -1.0) & (highest >= 1.0)
-    two = (lowest > -1.0) & (highest < 1.0)  # ranges, one on each side of the frame line
-    aside = (highest < 1.0) & ~two & ~turns  # one range about the angle pi
-    centred = np.where(aside[..., None], np.mod(phi, TURN) - np.pi, phi)
-    steps = np.diff(centred, axis=-1)
-    along = np.all(steps > 0.0, axis=-1) | np.all(steps < 0.0, axis=-1)
-    one_side = np.abs(np.sum(np.sign(sine), axis=-1)) == len(places)
-    apart = two & (np.abs(np.sum(np.sign(phi), axis=-1)) != len(places))
-    circuit, order = np.where(turns, ~one_side, apart), np.where(turns, ~_in_order(phi), ~along)
-    size = float(np.max(np.abs(places - places[0]))) or 1.0
-    none = ~(np.minimum(np.minimum(a, b), np.minimum(c, g)) > 1e-6 * size)  # also NaN
-    defect = np.select([none, circuit, ~one_side, order], [4, 1, 2, 3], 0).astype(np.int8)
-    around = np.min(np.arccos(np.clip(np.abs(cosines), 0.0, 1.0)), axis=0)
-    transmission = np.min(np.arcsin(np.clip(np.abs(sine), 0.0, 1.0)), axis=-1)
-    return Pairs(defect, turns, np.where(none, 0.0, transmission), np.where(none | ~turns, 0.0, around))
+    return Positions(pin, joint, pivot, fixed, places, float(angles[0]))
+
+
+@dataclass(frozen=True, eq=False)
+class Positions:
+    """Four-bars, or slider-cranks, (drivers, followers) at all positions, whose shapes broadcast.
+
+    `pin`, `joint` (..., positions): ends of the coupler at crank and rocker [m]; `pivot`, `fixed`: those of the crank and of the
+    rocker in the frame, of a slider (`slides`) the unit normal of its line. `places` (positions,): a point of the coupler, or
+    None, whose body has the angle `begin` [rad] at the first one.
+    """
+
+    pin: Complex
+    joint: Complex
+    pivot: Complex
+    fixed: Complex
+    places: Complex | None = None
+    begin: float = 0.0
+    slides: bool = False
+
+    def __getitem__(self, index: tuple[int, int]) -> FourBarSolution:
+        shape = np.broadcast_shapes(self.pin.shape[:2], self.joint.shape[:2])
+        pin, joint = (np.broadcast_to(part, (*shape, part.shape[2]))[index] for part in (self.pin, self.joint))
+        pivot, fixed = (complex(np.broadcast_to(part, shape)[index]) for part in (self.pivot, self.fixed))
+        places = pin if self.places is None else self.places
+        angles = self.begin + np.angle((joint - pin) / (joint[0] - pin[0]))
+        size = float(np.max(np.abs(places - places[0]))) or 1.0
+        crank, follower = link(complex(pin[0]), pivot, size), link(complex(joint[0]), fixed, size, slides=self.slides)
+        return FourBarSolution(crank, follower, places, angles)
+
+    @property
+    def lengths(self) -> tuple[Array, Array, Array, Array]:
+        """Crank, coupler, rocker and frame [m]; the distance of the line of a slider from the crank pivot as rocker."""
+        pin, joint = self.pin[..., 0], self.joint[..., 0]
+        a, b, g = np.abs(pin - self.pivot), np.abs(joint - pin), np.abs(self.fixed - self.pivot)
+        return a, b, ((joint - self.pivot) * np.conj(self.fixed)).real if self.slides else np.abs(joint - self.fixed), g
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """What keeps them from passing the positions in order: the closed form of `optlink.synthesis.five_poses.defects`, for all
+        at once; a defect hides those that come after it.
+        """
+        pin, joint = self.pin, self.joint
+        a, b, c, g = self.lengths
+        arm = self.fixed[..., None] if self.slides else joint - self.fixed[..., None]
+        with np.errstate(all="ignore"):
+            sine = ((joint - pin) * np.conj(arm)).imag / (b * (1.0 if self.slides else c))[..., None]
+            if self.slides:
+                lowest, highest = (c - b) / a, (c + b) / a
+                cosines = np.array([(c - a) / b, (c + a) / b])
+            else:
+                lowest, highest = ((a * a + g * g - (b + way * c) ** 2) / (2.0 * a * g) for way in (1.0, -1.0))
+                cosines = np.array([(b * b + c * c - (g + way * a) ** 2) / (2.0 * b * c) for way in (1.0, -1.0)])
+            axis = self.fixed if self.slides else self.fixed - self.pivot
+            phi = np.angle((pin - self.pivot[..., None]) / axis[..., None])
+        turns = (lowest <= -1.0) & (highest >= 1.0)
+        two = (lowest > -1.0) & (highest < 1.0)  # ranges, one on each side of the frame line
+        aside = (highest < 1.0) & ~two & ~turns  # one range about the angle pi
+        centred = np.where(aside[..., None], np.mod(phi, TURN) - np.pi, phi)
+        steps = np.diff(centred, axis=-1)
+        along = np.all(steps > 0.0, axis=-1) | np.all(steps < 0.0, axis=-1)
+        one_side = np.abs(np.sum(np.sign(sine), axis=-1)) == pin.shape[-1]
+        apart = two & (np.abs(np.sum(np.sign(phi), axis=-1)) != pin.shape[-1])
+        circuit, order = np.where(turns, ~one_side, apart), np.where(turns, ~_in_order(phi), ~along)
+        measured = pin if self.places is None else self.places
+        size = float(np.nanmax(np.abs(measured - measured[..., :1]))) or 1.0
+        least = np.minimum(a, b) if self.slides else np.minimum(np.minimum(a, b), np.minimum(c, g))
+        none = ~(least > 1e-6 * size)  # also NaN
+        defect = np.select([none, circuit, ~one_side, order], [4, 1, 2, 3], 0).astype(np.int8)
+        around = np.min(np.arccos(np.clip(np.abs(cosines), 0.0, 1.0)), axis=0)
+        transmission = np.min(np.arcsin(np.clip(np.abs(sine), 0.0, 1.0)), axis=-1)
+        return Pairs(defect, turns, np.where(none, 0.0, transmission), np.where(none | ~turns, 0.0, around))

@@ -123,8 +123,8 @@ def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
         A four-bar for five poses with free timing, five points timed from a free start, five points of a law or function with
         free start angles; with free timing four poses and two points, three and four, two and six, nine points, or five with
         fixed pivots; or a slider-crank for five points of a law of its slide. All other dimensions are design variables. Of four
-        poses, which two dyads of a curve meet, the best four-bars are listed; two or three poses need both pivots, or both
-        moving points, fixed.
+        poses, timed points or points of a law, which a family of linkages meets, the best ones are listed; two or three poses
+        need both pivots, or both moving points, fixed, three points of a law both start values.
     by : str, optional
         Quantity of the machine that ranks them, in words: "total length", "peak acceleration of P", "maximise stroke of rocker".
         By default that of the objective of the file; without one, the transmission angle.
@@ -149,12 +149,12 @@ def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
     kind = listing(problem)
     if kind is None:
         message = (
-            "only as many poses, points or timed points as determine a linkage, four poses, and two or three with given pivots "
-            "or moving points have listed exact solutions"
+            "only as many poses, points or timed points as determine a linkage, four of them, and two or three poses with given "
+            "pivots or moving points have listed exact solutions"
         )
         remedy = (
-            "Give five poses, five targets with a free start, nine points, four poses and two points, three and four or two and "
-            "six, with all dimensions free, or five points with fixed pivots; or leave out --all and requirement.exact"
+            "Give four or five poses, or targets with a free start, nine points, four poses and two points, three and four or "
+            "two and six, with all dimensions free, or five points with fixed pivots; or leave out --all and requirement.exact"
         )
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()

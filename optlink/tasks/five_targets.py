@@ -19,14 +19,17 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.requirements.base import MARK, START, pose_angles
 from optlink.problem.terms import Goal
-from optlink.synthesis.five_poses import POSES, FourBarSolution, couplers, dyads, timed_paths
+from optlink.synthesis.families import three_points
+from optlink.synthesis.five_poses import ONE_CENTRE, POSES, TRANSLATED, FourBarSolution, couplers, dyads, moved, timed_paths
 from optlink.tasks.results.design import LinkageDesign
 from optlink.tasks.results.exact import ExactSolution, ExactSolutions
 from optlink.tasks.search import mode_of
 from optlink.units import KINDS, factor
 from optlink.validation import validate
 
+THREE = 3
 CONDITIONS = 10  # of five poses with free timing or five timed points, on as many design variables of a four-bar
+OTHER_START = 1e-6  # rad or m; of the start of a linkage from the one given, which differs by half a turn otherwise
 TRIALS = ((0.3, 0.5), (1.1, -0.4))  # starts [rad], crank and output, with which a law must rise by the same
 GRASHOF, BOUNDED = "Grashof: ", " within its bounds"  # names of checks
 
@@ -58,7 +61,8 @@ def slider_crank(linkage: Mechanism) -> SliderCrank | None:
     return SliderCrank(crank, group.first, pin, guide, group.side) if plain and placed else None
 
 
-def _loop(task: DesignProblem) -> InnerFourBar | SliderCrank | None:
+def loop_of(task: DesignProblem) -> InnerFourBar | SliderCrank | None:
+    """Return the four-bar or the slider-crank that the linkage of a problem is; None for others."""
     return task.four_bar or slider_crank(task.linkage)
 
 
@@ -128,7 +132,7 @@ class FiveTargets:
         pairs: Sequence[FourBarSolution]
         if task.law_given:
             kind = "five points of a function"
-            found, pairs = couplers(task.law.offsets, _rises(task, *TRIALS[0]), slides=task.slides)
+            found, pairs = couplers(task.law.offsets, rises(task), slides=task.slides)
         elif task.requirement.kind == "path":
             assert task.data.offsets is not None
             kind, (found, pairs) = "five timed points", timed_paths(places, task.data.offsets)
@@ -141,7 +145,8 @@ class FiveTargets:
         sliders = sum(dyad.kind != "RR" for dyad in found.real) + frame
         certified, either = sum(dyad.certified for dyad in found.real), task.requirement.kind == "motion"
         linkage = "four-bar" if task.four_bar else "slider-crank"
-        return ExactSolutions(kind, len(found.real), certified, found.complex, sliders, found.special, either, (), linkage), pairs
+        special = in_words(task, found.special)
+        return ExactSolutions(kind, len(found.real), certified, found.complex, sliders, special, either, (), linkage), pairs
 
     @property
     def summary(self) -> ExactSolutions:
@@ -172,22 +177,26 @@ class FiveTargets:
         values, datum = _values(task, pair), task.linkage.datum
         phi = np.angle(crank) - (values[datum] if isinstance(datum, str) else datum)
         reasons = list(pair.defects)
-        loops = [_loop(file.spec) for file in self.files]
+        loops = [loop_of(file.spec) for file in self.files]
         variant = next((k for k, loop in enumerate(loops) if loop is not None and loop.side == side), None)
         words = ("forward", "backward") if slides else ("left", "right")
         mode = words[side < 0] if variant is None else mode_of(self.files[variant])
         certified = pair.crank.certified and pair.follower.certified
-        design, figure = None, None
+        design, figure, error = None, None, None
+        if not reasons:
+            reasons += _other_starts(task, values)
         if not reasons and variant is None:
             reasons.append(f'assembly: it needs "{mode}"')
         if not reasons and variant is not None:
             design = self._design(variant, values, phi)
             values = design.values
             reasons += _failures(design)
+            if not reasons and not task.goals and not design.exact:
+                reasons.append("rounding: small errors of its sizes move it off the targets")
             transmission = transmission if reasons else design.least_transmission
-            figure = self._figure(design)
+            figure, error = self._figure(design), design.largest_between if task.law_given else None
         shown = {name: value for name, value in values.items() if name in task.quantities}
-        solution = ExactSolution(shown, mode, transmission, certified, tuple(reasons), figure, float(phi[0]))
+        solution = ExactSolution(shown, mode, transmission, certified, tuple(reasons), figure, float(phi[0]), error)
         return _Found(solution, variant or 0, design)
 
     def _design(self, variant: int, values: Mapping[str, float], phi: Array) -> LinkageDesign:
@@ -204,6 +213,47 @@ class FiveTargets:
         return LinkageDesign(file, full, angles, checked.objective, Status.NOT_SEARCHED, checked)
 
 
+def in_words(task: DesignProblem, special: str) -> str:
+    """Return a sentence about special poses in the words of a problem, whose body need not be one of the linkage."""
+    if not special or task.requirement.kind == "motion":
+        return special
+    if task.law_given:
+        known = {
+            TRANSLATED: "the output turns as the crank does, as that of any parallelogram",
+            ONE_CENTRE: "the output does not move",
+        }
+        return known.get(special, f"of the output as seen from the crank: {special}")
+    known = {
+        TRANSLATED: "the crank does not turn between the points",
+        ONE_CENTRE: "the points lie on a circle, about whose centre they turn as the crank does: a crank alone passes them",
+    }
+    return known.get(special, f"of a body that turns with the crank, with the points as its places: {special}")
+
+
+class ThreePoints(FiveTargets):
+    """The only linkage of three points of a function with given start angles; see `given_starts`."""
+
+    def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
+        """Return the number of solutions of three linear equations, and the linkage that they make."""
+        task, slides, begin = self.task, self.task.slides, self.task.design({})
+        inputs, outputs = (np.asarray(part) for part in (task.law.offsets, rises(task)))
+        turned = _frame_direction(task)
+        outputs = outputs + begin[task.base_name] - turned * (not slides)
+        found = three_points(inputs + begin[task.start_name] - turned, outputs, slides=slides)
+        kind, linkage = "three points of a function from given starts", "four-bar" if task.four_bar else "slider-crank"
+        special = "" if found else "no linkage of finite lengths, or infinitely many"
+        count = int(found is not None)
+        counts = ExactSolutions(kind, count, count, 0, 0, special, False, (), linkage, 1, "solutions")
+        return counts, [] if found is None else [moved(found, inputs, outputs, slides=slides)]
+
+
+def _frame_direction(task: DesignProblem) -> float:
+    """Return the direction [rad] from which the angles of a linkage by itself count: that of its frame or guide."""
+    loop, values = loop_of(task), task.design({})
+    direction = loop.guide.direction if isinstance(loop, SliderCrank) else task.frame_angle or 0.0
+    return float(values[direction] if isinstance(direction, str) else direction)
+
+
 def alone(task: DesignProblem, count: int) -> bool:
     """Return whether a problem has one requirement, of a number of targets."""
     return len(task.parts) == 1 and not task.requirements and task.robust is None and len(task.data.columns) == count
@@ -213,6 +263,18 @@ def marked(task: DesignProblem) -> bool:
     """Return whether a problem is one of a four-bar, whose coupler has the point."""
     loop = task.four_bar
     return loop is not None and (loop.coupler.body, task.point) in task.linkage.marks
+
+
+def _other_starts(task: DesignProblem, values: Mapping[str, float]) -> Iterator[str]:
+    """Yield how a linkage begins elsewhere than at given start angles, by half a turn if a length would be negative."""
+    for name in (task.start_name, task.base_name) if task.law_given else ():
+        if name not in task.free and name in task.quantities:
+            given, wrong = task.quantities[name], values[name] - task.quantities[name].value
+            wrong = math.remainder(wrong, TURN) if given.kind == "angle" else wrong
+            if abs(wrong) > OTHER_START:
+                unit = given.display[1]
+                stated = f"{values[name] / given.si_per_unit:.4g} {unit}, allowed {given.value / given.si_per_unit:.4g}"
+                yield f"outside your bounds: {name} {stated}"
 
 
 def _failures(design: LinkageDesign) -> Iterator[str]:
@@ -231,28 +293,52 @@ def _failures(design: LinkageDesign) -> Iterator[str]:
 
 
 def applies(task: DesignProblem) -> bool:
-    """Return whether a problem has finitely many exact solutions that are cheap to find.
+    """Return whether a problem has finitely many exact solutions that are cheap to find: see `determined`."""
+    return determined(task, POSES)
 
-    It is one of a four-bar with as many design variables as conditions: five poses with free timing, five points that are timed
-    from a free start, or five points of a law of the rocker with free start angles. A slider-crank has such a law of its slide.
+
+def determined(task: DesignProblem, count: int) -> bool:
+    """Return whether a problem has a number of targets, of which five determine a linkage, and leaves all its dimensions free.
+
+    It is one of a four-bar: poses with free timing, points that are timed from a free start, or points of a law of the rocker
+    with free start angles. A slider-crank has such a law of its slide.
     """
-    loop = _loop(task)
-    if loop is None or not alone(task, POSES):
+    loop = loop_of(task)
+    if loop is None or not alone(task, count):
         return False
     if task.law_given:
-        names = task.start_name, task.base_name
-        guides = {guide.name for guide in task.linkage.guides}
-        suitable = (
-            task.requirement.task(task) == "function"
-            if task.four_bar
-            else task.requirement.kind == "function" and task.output in guides
-        )
-        if not suitable or task.everywhere or not {*names, *loop.names} <= set(task.free):
-            return False
-        return bool(np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12))
+        return prescribed(task) and {task.start_name, task.base_name, *loop.names} <= set(task.free)
     timed = {"motion": "free", "path": "from start"}.get(task.requirement.kind)
     posed = task.requirement.kind == "path" or bool(task.target_points.posed.all())
-    return timed == task.timing and posed and marked(task) and len(task.free) >= CONDITIONS and not task.meets_again
+    again = task.requirement.kind == "path" and task.meets_again
+    return timed == task.timing and posed and marked(task) and len(task.free) >= CONDITIONS and not again
+
+
+def given_starts(task: DesignProblem) -> bool:
+    """Return whether three points of a function with given start angles determine the lengths of a linkage."""
+    loop = loop_of(task)
+    if loop is None or not alone(task, THREE) or not task.law_given or not prescribed(task):
+        return False
+    starts, names, free = {task.start_name, task.base_name}, set(loop.names), set(task.free)
+    return starts <= task.quantities.keys() - free and names <= free <= names | {getattr(loop, "frame_length", "")}
+
+
+def prescribed(task: DesignProblem) -> bool:
+    """Return whether a law prescribes the same rise of the rocker, or of the slide of a slider-crank, whatever the start is."""
+    guides = {guide.name for guide in task.linkage.guides}
+    suitable = (
+        task.requirement.task(task) == "function"
+        if task.four_bar
+        else task.requirement.kind == "function" and task.output in guides
+    )
+    if not suitable or task.everywhere:
+        return False
+    return bool(np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12))
+
+
+def rises(task: DesignProblem) -> Array:
+    """Return the rise of the output [rad or m] that a law prescribes at its positions, see `prescribed`."""
+    return _rises(task, *TRIALS[0])
 
 
 def _rises(task: DesignProblem, start: float, base: float) -> Array:
@@ -282,7 +368,7 @@ def _slide_values(task: DesignProblem, pair: FourBarSolution, loop: SliderCrank)
     turned = values[sense] if isinstance(sense, str) else sense  # crank angles of such a linkage count from the x axis
     values |= dict(zip(loop.names, (abs(crank), abs(coupler), joint.imag), strict=True))
     values[task.start_name] = float(np.angle(crank)) + turned - float(task.law.offsets[0])
-    values[task.base_name] = joint.real - float(_rises(task, *TRIALS[0])[0])
+    values[task.base_name] = joint.real - float(rises(task)[0])
     return {name: _within(task, name, value) for name, value in values.items()}
 
 
@@ -318,7 +404,7 @@ def _values(task: DesignProblem, pair: FourBarSolution) -> dict[str, float]:
     if START in task.quantities and task.data.offsets is not None:
         values[START] = start - float(task.data.offsets[0])
     if task.law_given:
-        rise = _rises(task, *TRIALS[0])
+        rise = rises(task)
         values[task.start_name] = start - float(task.law.offsets[0])
         values[task.base_name] = float(np.angle(-rocker)) - float(rise[0])
     return {name: _within(task, name, value) for name, value in values.items()}

@@ -1,4 +1,4 @@
-"""Dyads of a problem with four poses: their curves, the best four-bars of two of them, and the four-bar of two given ones."""
+"""Families of linkages that meet the targets of a problem: the best ones, curves of dyads, and the four-bar of two given ones."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import InputError
+from optlink.linkage.fourbar import InnerFourBar
 from optlink.linkage.mechanism import Arm
 from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
@@ -19,20 +20,35 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.requirements.base import MARK, pose_angles
 from optlink.problem.terms import Goal
-from optlink.synthesis.five_poses import Complex, FourBarSolution, link
-from optlink.synthesis.four_poses import DEFECTS, POSES, DyadCurves, Pairs, curves, dyads_of_joint, pairs
-from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, applies as of_five_targets, marked
+from optlink.synthesis.families import Family, FunctionFamily, PoseFamily, TimedFamily
+from optlink.synthesis.five_poses import FourBarSolution
+from optlink.synthesis.four_poses import DEFECTS, POSES, DyadCurves, Positions, curves, dyads_of_joint
+from optlink.tasks.five_targets import (
+    FiveTargets,
+    ThreePoints,
+    alone,
+    applies as of_five_targets,
+    determined,
+    given_starts,
+    in_words,
+    loop_of,
+    marked,
+    rises,
+)
 from optlink.tasks.results.design import SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolutions
 
 MOST = 400  # dyads that are drivers and followers of all pairs
 APART = 0.04  # least distance of listed pairs along one of the curves, as a share of the dyads
+TARGETS = ("timed points", "points of a function")
 KINDS_OF = {2: "two poses with given joints", 3: "three poses with given joints", POSES: "four poses"}
 DESIGNS = 6  # largest number of listed four-bars
 TRIED = 40  # largest number of four-bars that are validated
 FRAME_LENGTH = "frame length"
+NO_LINKAGE = len(DEFECTS) - 1
 MEASURED, CLIMBED = 100, 3  # pairs of dyads of which a quantity is measured, and best ones that are improved
 STEPS = (9, 3, 1)  # of the dyads along a curve, to better ones
+GRIDS, FINER, LAST = 40, 4, 1e-3  # most grids about a best pair, how much finer each is than the former, and the finest one
 
 
 def curves_of(task: DesignProblem) -> DyadCurves | None:
@@ -44,8 +60,13 @@ def curves_of(task: DesignProblem) -> DyadCurves | None:
 
 
 def applies(task: DesignProblem) -> bool:
+    """Return whether a problem has four poses, timed points, or points of a function, which leave a family of linkages."""
+    return determined(task, POSES)
+
+
+def guided(task: DesignProblem) -> bool:
     """Return whether each four-bar of two dyads of four poses is a design of a problem, but for its bounds and limits."""
-    return _guided(task, POSES) and len(task.free) >= CONDITIONS
+    return task.requirement.kind == "motion" and applies(task)
 
 
 def _guided(task: DesignProblem, count: int) -> bool:
@@ -57,6 +78,19 @@ def _guided(task: DesignProblem, count: int) -> bool:
 def joints_given(task: DesignProblem) -> bool:
     """Return whether a problem of two or three poses fixes both pivots or both moving points of the body, and nothing else."""
     return (_guided(task, 2) or _guided(task, 3)) and _sides(task) is not None
+
+
+def family_of(task: DesignProblem) -> Family:
+    """Return the linkages that meet the targets of a problem, which `applies` or `joints_given` accepts."""
+    if task.law_given:
+        return FunctionFamily(task.law.offsets, rises(task), task.slides)
+    if task.requirement.kind == "path":
+        assert task.data.offsets is not None
+        columns = task.data.columns
+        return TimedFamily(columns[:, 0] + 1j * columns[:, 1], task.data.offsets)
+    sides = _sides(task)
+    assert sides is not None
+    return PoseFamily(*sides)
 
 
 def _sides(task: DesignProblem) -> tuple[DyadCurves, DyadCurves] | None:
@@ -93,78 +127,80 @@ def _sides(task: DesignProblem) -> tuple[DyadCurves, DyadCurves] | None:
     return crank, rocker
 
 
-def _spread(side: DyadCurves) -> NDArray[Any]:
-    """Return rows of finite dyads, evenly over their curves, at most `MOST`."""
-    finite = np.flatnonzero(~np.isnan(side.points[:, 0]))
-    return finite[np.unique(np.linspace(0, len(finite) - 1, MOST).astype(int))] if len(finite) else finite
+def _spread(side: DyadCurves, most: int) -> Array:
+    """Return rows of finite dyads, evenly over their curves, at most `most`."""
+    finite = np.flatnonzero(~np.isnan(side.dyads[0]))
+    spread = finite[np.unique(np.linspace(0, len(finite) - 1, most).astype(int))] if len(finite) else finite
+    return spread.astype(float)
 
 
 class FourTargets(FiveTargets):
-    """The best four-bars of two dyads of four poses, or of two or three ones with given joints; see `applies`, `joints_given`.
+    """The best linkages of a family that four targets leave, or two or three poses with given joints; see `family_of`.
 
     `files`: the problem with definite assembly modes.
     """
 
     def __init__(self, files: Sequence[ProblemFile], goal: Goal | None = None, chosen: tuple[int, int] | None = None) -> None:
-        found = _sides(files[0].spec)
-        assert found is not None
-        self.curves, self.followers = found
-        self.chosen, self.sentence = chosen, self.curves.special or self.followers.special
+        self.family = family_of(files[0].spec)
+        self.curves, self.followers = self.family.drivers, self.family.followers
+        self.chosen = chosen
+        self.sentence = in_words(files[0].spec, self.curves.special or self.followers.special)
         super().__init__(files, goal)
         self.found = self.found[:DESIGNS]
 
     def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
-        """Return how many pairs of dyads pass the poses, and varied four-bars that do so within the bounds, best first."""
-        found = self.curves
-        points, _ = found.dyads
+        """Return how many linkages meet the targets, and varied ones that do so within the bounds, best first."""
+        curves, task = self.curves, self.task
         for row in self.chosen or ():
-            if not 0 <= row < len(points) or np.isnan(points[row]):
-                message = found.special or "no dyad of finite lengths"
+            if not 0 <= row < len(curves.points) or np.isnan(curves.points[row, 0]):
+                message = curves.special or "no dyad of finite lengths"
                 raise InputError(message, "Give a row of `dyad_curves`", self.files[0].file, "driver, follower", row)
-        note = "; ".join(dict.fromkeys(filter(None, (found.note, self.followers.note))))
-        if len(points) == len(self.followers.points) == 1:  # three poses: their only four-bar
-            finite = [not np.isnan(side.dyads[0][0]) for side in (found, self.followers)]
+        note = "; ".join(dict.fromkeys(filter(None, (curves.note, self.followers.note))))
+        if len(curves.points) == len(self.followers.points) == 1:  # three poses: their only four-bar
+            finite = [not np.isnan(side.dyads[0][0]) for side in (curves, self.followers)]
             counts = ExactSolutions(KINDS_OF[3], 2, 2, 0, 2 - sum(finite), "", False, (), roots=2, counted="dyads", note=note)
-            return counts, [self._four_bar(0, 0)] if all(finite) else []
+            return counts, [self._linkage(0, 0)] if all(finite) else []
         rows = [self.chosen] if self.chosen else [] if self.sentence else list(self._best())
-        counts = ExactSolutions(KINDS_OF[len(found.places)], 0, 0, 0, 0, self.sentence, False, (), note=note)
-        return counts, [self._four_bar(i, k) for i, k in rows]
+        kind = KINDS_OF[len(curves.places)] if task.requirement.kind == "motion" else f"four {TARGETS[task.law_given]}"
+        linkage = "four-bar" if task.four_bar else "slider-crank"
+        counts = ExactSolutions(kind, 0, 0, 0, 0, self.sentence, False, (), linkage, note=note)
+        found = [self.family.positions(np.array([float(i)]), np.array([float(k)])) for i, k in rows]
+        return counts, [one[0, 0] for one in found if self.chosen or one.pairs.defect[0, 0] != NO_LINKAGE]
 
-    def _four_bar(self, driver: int, follower: int) -> FourBarSolution:
-        """Return the four-bar of two dyads."""
-        rows = (self.curves, driver), (self.followers, follower)
-        crank, rocker = (link(side.dyads[0][row], side.dyads[1][row], side.size) for side, row in rows)
-        return FourBarSolution(crank, rocker, self.curves.places, self.curves.angles)
+    def _linkage(self, driver: float, follower: float) -> FourBarSolution:
+        """Return the linkage of two rows of the family."""
+        return self.family.positions(np.array([driver], dtype=float), np.array([follower], dtype=float))[0, 0]
 
-    def _best(self) -> Iterator[tuple[int, int]]:
+    def _best(self) -> Iterator[tuple[float, float]]:
         """Yield driver and follower of varied pairs, the best one first, and compose the sentence."""
-        found, task = self.curves, self.task
-        cranks, rows = _spread(found), _spread(self.followers)
-        drivers = cranks[found.in_order[cranks]]
+        family, task = self.family, self.task
+        cranks = _spread(self.curves, family.most)
+        rows = family.rows if len(family.rows) <= MOST else _spread(self.followers, MOST)
+        drivers = cranks[family.may_drive(cranks)]
         driving = len(drivers) / max(1, len(cranks))
-        b, a, e, c = self._joints(drivers, rows)
-        every = pairs(found.places, found.angles, (b, a), (e, c))
+        found = family.positions(drivers, rows)
+        every = found.pairs
         turning = every.turns | (task.limits.crank == "span")
         passing = (every.defect == 0) & turning
-        inside = passing & self._inside(drivers, rows)
-        count, curve = inside.size, f"{found.count} closed curve{'s' * (found.count > 1)}"
-        curve = curve if len(found.places) == POSES else "a line"
-        shares = {name: np.mean(every.defect == k) for k, name in enumerate(DEFECTS[:4]) if name}
-        shares["crank does not turn"] = np.mean((every.defect == 0) & ~turning)
-        reasons = ", ".join(f"{name} {share:z.0%}" for name, share in shares.items() if share >= 0.005)
+        inside = passing & self._inside(found)
+        closing = np.isfinite(found.joint[..., 0]) & np.isfinite(found.pin[..., 0])
+        count = int(np.sum(closing))
+        curve = f"{self.curves.count} closed curve{'s' * (self.curves.count > 1)}" if self.curves.count else "a line"
+        shares = {name: np.sum((every.defect == k) & closing) for k, name in enumerate(DEFECTS) if name}
+        shares["crank does not turn"] = np.sum((every.defect == 0) & ~turning)
+        reasons = ", ".join(f"{name} {share / count:z.0%}" for name, share in shares.items() if share >= 0.005 * count)
+        drive = f", of which {driving:z.0%} may drive" if task.requirement.kind == "motion" else ""
         self.sentence = (
-            f"{curve} of dyads, of which {driving:z.0%} may drive; {np.mean(passing):z.1%} of {count} four-bars "
-            f"pass the poses in order (not: {reasons}), {np.mean(inside):z.1%} within the bounds"
+            f"{curve} of {family.noun}{drive}; {np.sum(passing) / max(1, count):z.1%} of {count} {self._made} pass the "
+            f"{self._passed} in order (not: {reasons}), {np.sum(inside) / max(1, count):z.1%} within the bounds"
         )
-        value, limit = self._transmission(every), task.limits.transmission_angle
-        least = 0.0 if limit is None else min(limit.low or 0.0, math.pi - (limit.high or math.pi))
-        measure = np.where(inside & (value > 0.0) & (value >= least), value, -math.inf)
+        measure = self._score(found)
         near_crank, near_rocker = (max(1, round(APART * len(side))) for side in (cranks, rows))
         places = np.searchsorted(cranks, drivers)
 
         def varied(measure: Array, most: int) -> Iterator[tuple[int, int]]:
             measure = measure.copy()
-            for _ in range(most):
+            for _ in range(most if measure.size else 0):
                 i, k = map(int, np.unravel_index(int(np.argmax(measure)), measure.shape))
                 if measure[i, k] == -math.inf:
                     return
@@ -172,25 +208,76 @@ class FourTargets(FiveTargets):
                 near = np.abs(places - places[i])[:, None] <= near_crank
                 measure[near & (np.abs(np.arange(len(rows)) - k)[None, :] <= near_rocker)] = -math.inf
 
-        if self.goals:
+        known = self._known(found)
+        if known is None:
             measure = self._measured(np.isfinite(measure), [*varied(measure, DESIGNS)], drivers, rows)
-        yield from ((int(drivers[i]), int(rows[k])) for i, k in varied(measure, TRIED))
+        steps = [float(np.median(np.diff(side))) if len(side) > 1 else 0.0 for side in (cranks, rows)]
+        first = [np.array([drivers[i], rows[k]], dtype=float) for i, k in varied(measure, TRIED)]
+        if known is not None:
+            better = sorted((self._refined(pair, steps) for pair in first[: family.refined]), key=lambda one: -one[0])
+            first = [*(pair for _, pair in better), *first]
+        room, kept = np.array([near_crank, near_rocker]) * steps, list[Array]()
+        for pair in first:
+            if not any(np.all(np.abs(pair - other) <= room) for other in kept):  # climbed to one that is listed
+                kept.append(pair)
+                yield float(pair[0]), float(pair[1])
+
+    def _refined(self, pair: Array, steps: Sequence[float]) -> tuple[float, Array]:
+        """Return the best pair near a pair of rows and its score, on grids about the best one, finer where none is better."""
+        share, best = 1.0, -math.inf
+        for _ in range(GRIDS):
+            grid = share * np.linspace(-1.0, 1.0, 2 * FINER + 1)
+            window = [np.unique(at + step * grid) for at, step in zip(pair, steps, strict=True)]
+            score = self._score(self.family.positions(*window))
+            i, k = np.unravel_index(int(np.argmax(score)), score.shape)
+            if not score[i, k] > best:
+                share /= FINER
+                if share < LAST:
+                    break
+                continue
+            best, pair = float(score[i, k]), np.array([window[0][i], window[1][k]])
+        return best, pair
+
+    def _score(self, found: Positions) -> Array:
+        """Return how good linkages are by what ranks them if it is known in closed form, else by their transmission angle.
+
+        It is -inf of those with a defect or outside the bounds.
+        """
+        every, limit = found.pairs, self.task.limits.transmission_angle
+        inside = (every.defect == 0) & (every.turns | (self.task.limits.crank == "span")) & self._inside(found)
+        value = every.around if self.task.limits.transmission_range == "revolution" else every.transmission
+        least = 0.0 if limit is None else min(limit.low or 0.0, math.pi - (limit.high or math.pi))
+        known = self._known(found)
+        return np.where(inside & (value > 0.0) & (value >= least), value if known is None else known, -math.inf)
+
+    def _known(self, found: Positions) -> Array | None:
+        """Return what ranks linkages, the largest one best, if it is known in closed form: lengths, the transmission angle."""
+        if not self.goals:
+            over = self.task.limits.transmission_range
+            return found.pairs.around if over == "revolution" else found.pairs.transmission
+        ranked = self._ranked
+        length = None if ranked is None else self._lengths(found).get(ranked.of or ranked.quantity)
+        return None if length is None else -self._sense * length
+
+    @property
+    def _made(self) -> str:
+        return "four-bars" if self.task.four_bar else "slider-cranks"
+
+    @property
+    def _passed(self) -> str:
+        return "poses" if self.task.requirement.kind == "motion" else "positions" if self.task.law_given else "points"
 
     def _measured(self, passing: NDArray[np.bool_], first: Sequence[tuple[int, int]], drivers: Array, followers: Array) -> Array:
         """Return how good pairs are by the quantity that ranks them, -inf of those that are not measured.
 
-        Lengths are known of all `passing` ones; else the `first` and a grid of them are measured, and the ways from the best to
-        better neighbours.
+        Of `passing` ones the `first` and a grid of them are measured, and the ways from the best to better neighbours.
         """
-        lengths, ranked = self._lengths(drivers, followers), self._ranked
-        if ranked is not None and (known := lengths.get(ranked.of or ranked.quantity)) is not None:
-            return np.where(passing, -self._sense * known, -math.inf)
         good, seen = np.full(passing.shape, -math.inf), ~passing
 
         def measured(i: int, k: int) -> float:
             if not seen[i, k]:
                 seen[i, k] = True
-                found = self._judged(self._four_bar(drivers[i], followers[k]))
+                found = self._judged(self._linkage(drivers[i], followers[k]))
                 if found is not None and found.solution.usable:
                     good[i, k] = -self._rank(found.solution)
             return float(good[i, k])
@@ -211,40 +298,33 @@ class FourTargets(FiveTargets):
         self.sentence += f"; of {int(np.sum(good > -math.inf))} of these the {self._words} was measured"
         return good
 
-    def _transmission(self, every: Pairs) -> Array:
-        """Return the least transmission angle [rad] over the range that the problem limits, as far as it is known."""
-        return every.around if self.task.limits.transmission_range == "revolution" else every.transmission
-
-    def _joints(self, drivers: Array, followers: Array) -> tuple[Complex, Complex, Complex, Complex]:
-        """Return crank pins, crank pivots, rocker pins and rocker pivots of rows of the dyads as complex numbers."""
-        (b, a), (e, c) = self.curves.dyads, self.followers.dyads
-        return b[drivers], a[drivers], e[followers], c[followers]
-
-    def _lengths(self, drivers: Array, followers: Array) -> dict[str, Array]:
-        """Return lengths and pivots [m] of pairs by name, "frame length" and "total length" too, (drivers, followers)."""
-        loop, (b, a, e, c) = self.task.four_bar, self._joints(drivers, followers)
+    def _lengths(self, found: Positions) -> dict[str, Array]:
+        """Return lengths and pivots [m] of linkages by name, of a four-bar "frame length" and "total length" too."""
+        loop, law = loop_of(self.task), self.task.law_given
         assert loop is not None
-        b, a = b[:, None], a[:, None]
-        named = dict(zip(loop.names, (np.abs(b - a), np.abs(e - b), np.abs(e - c)), strict=True))
-        for place, at in zip(loop.pivots, (a, c), strict=True):
-            parts = {place.length: np.abs(c - a)} if isinstance(place, Arm) else {place[0]: at.real, place[1]: at.imag}
-            named |= {name: value for name, value in parts.items() if isinstance(name, str)}
-        total = np.abs(b - a) + np.abs(e - b) + np.abs(e - c) + np.abs(c - a)
-        return named | {FRAME_LENGTH: np.abs(c - a), "total length": total}
+        size = float(loop.frame(self.task.design({}))[0]) if law and isinstance(loop, InnerFourBar) else 1.0
+        *lengths, frame = (size * each for each in found.lengths)
+        named = dict(zip(loop.names, lengths, strict=True))
+        if not isinstance(loop, InnerFourBar):
+            return named
+        for place, at in zip(loop.pivots, (found.pivot, found.fixed), strict=True):
+            parts = {place.length: frame} if isinstance(place, Arm) else {place[0]: at.real, place[1]: at.imag}
+            named |= {name: value for name, value in parts.items() if isinstance(name, str) and (not law or value is frame)}
+        return named | {FRAME_LENGTH: frame, "total length": sum(lengths, frame)}
 
-    def _inside(self, drivers: Array, followers: Array) -> Array:
-        """Return whether the lengths and pivots of pairs lie within their bounds (drivers, followers)."""
-        named, quantities, size = self._lengths(drivers, followers), self.task.quantities, 1e-9 * self.curves.size
+    def _inside(self, found: Positions) -> Array:
+        """Return whether the lengths and pivots of linkages lie within their bounds."""
+        named, quantities, size = self._lengths(found), self.task.quantities, 1e-9 * self.curves.size
         ranges = [(value, *quantities[name].bounds) for name, value in named.items() if name in quantities]
         if (frame := self.task.limits.frame_length) is not None:
             ranges.append((named[FRAME_LENGTH], frame.low or 0.0, math.inf if frame.high is None else frame.high))
-        inside = np.ones((len(drivers), len(followers)), dtype=bool)
+        inside = np.ones(found.pairs.defect.shape, dtype=bool)
         for value, low, high in ranges:
             inside &= (value >= low - size) & (value <= high + size)
         return inside
 
 
-CHEAP = ((FiveTargets, of_five_targets), (FourTargets, applies), (FourTargets, joints_given))
+CHEAP = ((FiveTargets, of_five_targets), (FourTargets, applies), (FourTargets, joints_given), (ThreePoints, given_starts))
 """Exact solutions with which a search begins, and which problems have them."""
 
 
@@ -311,7 +391,7 @@ def four_bar_of_dyads(problem: AnyProblem, driver: int, follower: int) -> Synthe
     True
     """
     problem = problem_of(problem)
-    if not applies(problem.variants()[0].spec):
+    if not guided(problem.variants()[0].spec):
         message, remedy = "only four poses of a four-bar with free timing are met by any two dyads", "Leave all dimensions free"
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()

@@ -64,7 +64,7 @@ def test_any_quantity_ranks_the_pairs(monkeypatch):
     parts = [np.linalg.norm(one - other, axis=-1) for one, other in ((a, b), (b, e), (e, c), (c, a))]
     total = np.where((every.defect == 0) & every.turns & (every.around >= math.radians(30.0)), 1e3 * sum(parts), np.inf)
     total[np.any([(part < 0.01) | (part > 0.4) for part in np.broadcast_arrays(*parts)], axis=0)] = np.inf
-    assert best.figure == pytest.approx(total.min(), rel=0.05)
+    assert total.min() * 0.95 < best.figure <= total.min()
     figures = [one.figure for one in found.solutions if one.usable]
     assert figures == sorted(figures)
     monkeypatch.setattr("optlink.tasks.four_poses.MEASURED", 8)

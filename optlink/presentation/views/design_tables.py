@@ -83,10 +83,10 @@ class _Law(Words):
         texts, between = super().figures(design), design.largest_between
         if design.task.robust is not None:
             texts = [text.replace("error:", "error at nominal dimensions:") for text in texts]
-        if between is None or design.exact:
+        if between is None:
             return texts
         factor, unit = DISPLAYED[design.task.unit]
-        return [f"{texts[0]} at the positions, {number(factor * between, 4)} {unit} between them"]
+        return [f"{texts[0]}{'' if design.exact else ' at the positions'}, {number(factor * between, 4)} {unit} between them"]
 
     def rows(self, design: LinkageDesign, outcome: SynthesisResult) -> list[Row]:
         rows, step, task = super().rows(design, outcome), outcome.first_step, design.task

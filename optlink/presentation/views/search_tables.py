@@ -50,7 +50,7 @@ from optlink.tasks.results.conflict import OpposedLimit, opposed_limits, outward
 from optlink.tasks.results.exact import BY_TRANSMISSION, DEFECTS
 from optlink.tasks.results.fit import Fit
 from optlink.tasks.results.rounding import Influence, Rounding
-from optlink.units import percent
+from optlink.units import DISPLAYED, percent
 from optlink.validation import Check
 from optlink.validation.check import requirements
 
@@ -538,15 +538,26 @@ def exact_solutions(outcome: SynthesisResult) -> TableSpec | None:
     model, rows = outcome.problem.model, list[Row]()
     names = [name for name in model.free if model.quantities[name].kind == "length"][:MAX_VARIABLES]
     by = "" if found.ranked_by == BY_TRANSMISSION else f"{found.ranked_by} [{found.unit}]".removesuffix(" []")
+    errs = any(one.between is not None for one in found.solutions)
+    factor, unit = DISPLAYED[outcome.problem.spec.unit] if errs else (1.0, "")
     for k, one in enumerate(found.solutions[:MOST_EXACT], start=1):
         sizes = [number(one.values[name] * model.display(name)[0], 4) for name in names]
         angle, others = fixed(math.degrees(one.transmission), 1), len(one.reasons) - MOST_REASONS
         reasons = ", ".join(one.reasons[:MOST_REASONS]) + (f" and {others} more" if others > 0 else "")
         ranked = ["–" if one.figure is None else number(one.figure, 4)] if by else []
+        ranked += ["–" if one.between is None else number(factor * one.between, 4)] if errs else []
         rows.append((str(k), *sizes, *ranked, angle, Span(reasons) if one.reasons else good("usable")))
-    columns = [">", *(f">{name}" for name in names), *([f">{by}"] if by else []), ">angle", "usable, or why not"]
+    columns = [
+        ">",
+        *(f">{name}" for name in names),
+        *([f">{by}"] if by else []),
+        *([f">error [{unit}]"] if errs else []),
+        ">angle",
+        "usable, or why not",
+    ]
     units = joined(sorted({model.display(name)[1] for name in names}))
     notes = [f"sizes in {units}; transmission angle from 0 or 180 deg: least over the motion if usable, else at the targets"]
+    notes += ["error: largest one over the whole range of the law"] if errs else []
     notes += [f"{name}: {words}" for name, words in DEFECTS.items() if any(name in one.reasons for one in found.solutions)]
     if more := len(found.solutions) - len(rows):
         notes.append(f"{more} more are in --json")

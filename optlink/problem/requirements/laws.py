@@ -338,10 +338,22 @@ class FunctionRequirement(LawRequirement):
     """Crank rotation over which an expression applies, negative clockwise; a table or function defines it itself."""
     points: Annotated[int, Field(strict=True, ge=1, le=OF_FOUR_BAR.positions[1])] | None = None
     """Number of evenly spaced positions after the start; default: the rows of a table, else 60."""
+    spacing: Literal["even", "chebyshev"] = "even"
+    """Spacing of the positions: even, with one more at the start; or `chebyshev`, that of the zeros of a Chebyshev polynomial,
+    all of them within the range: the error between 3 to 5 precision points is nearly the least."""
     measure: Measure = "sum of squares"
     """Measure that combines all errors into the objective; `max` is the largest error."""
     exact: bool = False
-    """Whether only designs that meet five positions exactly are wanted: all of them, without a search."""
+    """Whether only designs that meet three to five positions exactly are wanted, without a search: all, or the best."""
+
+    def law_of(self, problem: Designed) -> Law:
+        """Return the law at its design positions, see `LawRequirement.law_of`; those of Chebyshev lie within the range."""
+        if self.spacing == "even":
+            return super().law_of(problem)
+        count = self.points or (len(self.law.phi) if isinstance(self.law, Table) else POSITIONS)
+        first = self.law.phi[0] if isinstance(self.law, Table) and self.law.from_start else 0.0
+        shares = 0.5 - 0.5 * np.cos(np.pi * (np.arange(count) + 0.5) / count)
+        return Law(self.law, first + (self.rotation - first) * shares)
 
     def ranged(self, problem: Designed) -> bool:
         """Return whether its largest error counts over the whole span: that of a formula."""

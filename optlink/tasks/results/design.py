@@ -25,7 +25,7 @@ from optlink.optimization.output_errors import error_function
 from optlink.problem.design import DesignProblem
 from optlink.problem.document import Column, Document, Number, Source, adapter, entries
 from optlink.problem.file import ProblemFile, fixed_design, started
-from optlink.problem.targets.expression import Expression
+from optlink.problem.targets.law import Table
 from optlink.problem.terms import BACK, Term
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.synthesis.freudenstein import FirstStep
@@ -305,13 +305,16 @@ class LinkageDesign(Summary):
 
     @cached_property
     def largest_between(self) -> float | None:
-        """Largest error [rad or m] of an expression over its range, or excursion [m] of a curve between two points.
+        """Largest error [rad or m] of a law over its range, or excursion [m] of a curve between two points.
 
-        None without either, and if that of an expression is the same as at its positions to four digits.
+        None without either, if it is the same as at the positions to four digits, and of a table that is met row by row.
         """
         if self.between is not None:
             return float(np.nanmax(self.between, initial=0.0))
-        if not self.follows_law or not isinstance(self.task.requirement.law, Expression):
+        rule = self.task.requirement
+        if not self.follows_law or self.task.everywhere:
+            return None
+        if isinstance(rule.law, Table) and getattr(rule, "spacing", "even") == "even":  # a key of some kinds
             return None
         whole = self.task.span * np.linspace(0.0, 1.0, FINE)
         at_positions, over_range = (float(np.max(np.abs(self.errors(at)))) for at in (None, whole))

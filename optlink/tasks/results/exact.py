@@ -24,7 +24,8 @@ class ExactSolution:
     from 0 and 180 deg, over the required motion if it is usable, else at the targets.
 
     `certified`: its dyads are proven to be real; `reasons`: what excludes it: its `DEFECTS`, else checks that it fails; `figure`:
-    the quantity by which they are ranked, in its display unit, of one without a defect; `crank_angle` [rad] at the first target.
+    the quantity by which they are ranked, in its display unit, of one without a defect; `crank_angle` [rad] at the first target;
+    `between`: largest error [rad or m] of a law over its range, that of the structure, of one without a defect.
     """
 
     values: Mapping[str, Number]
@@ -34,6 +35,7 @@ class ExactSolution:
     reasons: tuple[str, ...]
     figure: Number | None = None
     crank_angle: Number | None = None
+    between: Number | None = None
 
     @property
     def usable(self) -> bool:
@@ -126,6 +128,7 @@ def document(found: ExactSolutions, displayed: Callable[[Mapping[str, float]], M
     shown = ("task", "linkage", *counts, "ranked_by", "unit")
     solutions = [
         {name: getattr(one, name) for name in ("usable", "reasons", "certified", "assembly", "figure")}
+        | ({} if one.between is None else {"largest_between_SI": one.between})
         | {"transmission_deg": math.degrees(one.transmission), "design": displayed(one.values)}
         for one in found.solutions
     ]
