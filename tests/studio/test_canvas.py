@@ -525,7 +525,7 @@ def test_exact_solutions_and_parts_by_keyboard(page):
     page.run("crank.value = '9'; crank.dispatchEvent(new Event('input'))")
     assert len(set(page.run(place)) - set(begun)) == 1
     page.find("#parts [aria-label='Width of rocker']").send_keys("31", Keys.ENTER)
-    page.until("return document.querySelector('[data-part=rocker] path').getAttribute('d').includes('A15.5 15.5')")
+    page.until("return document.querySelector('[data-part=rocker] path')?.getAttribute('d').includes('A15.5 15.5')")
     assert page.status() == "verified"
 
 
