@@ -685,7 +685,8 @@ def motion(
            [-1.,  0.]])
     """
     problem = problem_of(problem)
-    machine = machine_of(problem, check_design(problem, design))
+    sizes = check_design(problem, design) or {}
+    machine = machine_of(problem, {name: sizes[name] for name in sizes if name in problem.model.mechanism.quantities})
     moved = checked_sweep(machine.mechanism, machine.sizes, crank_angle, crank_speed(problem, speed), acceleration)
     check_within_range(problem, np.ravel(np.asarray(moved.crank_angle, dtype=float)))
     return moved

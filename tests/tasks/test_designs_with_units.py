@@ -64,3 +64,15 @@ def test_many_designs_are_a_data_frame_or_texts(designs):
 def test_a_wrong_size_of_a_batch_is_named(designs, message):
     with pytest.raises(InputError, match=message):
         optlink.analyze_batch("shaper", designs)
+
+
+def test_the_design_of_a_result_is_taken_everywhere(solved):
+    motion = {"requirement.measure": "max", "requirement.tolerance": "3 deg", "objective": {"quantity": "torque"}}
+    composed = optlink.load("crank-rocker", {**motion, "bodies.rocker": {"mass": "1 kg", "inertia": "0.01 kg*m^2"}})
+    for problem in (solved.problem, composed):
+        assert {"phi0", "psi0"} <= optlink.validate(problem, {"coupler": 0.42, "rocker": 0.24}).design.keys()
+        for call in (optlink.validate, optlink.gradient):
+            call(problem, {**solved.design})
+        assert optlink.analyze(problem, 12, design=solved.design).design["phi0"] == solved.design["phi0"]
+        place = optlink.motion(problem, [0.0], design=solved.design).position("C")
+        assert np.hypot(*(place - [solved.design["frame"], 0.0]).T) == pytest.approx(solved.design["rocker"])
