@@ -18,7 +18,7 @@ import sys
 import tempfile
 import threading
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -364,10 +364,14 @@ class Summary:
             hint = f'. Did you mean "{close[0]}"?' if close else ""
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}{hint}", name=name, obj=self)
 
-    def __repr__(self) -> str:
-        words = [str(getattr(self, "status", ""))]
+    def _verdict(self) -> Iterable[str]:
+        """Yield how the work ended, and whether its result is valid."""
+        yield str(getattr(self, "status", ""))
         if (valid := getattr(self, "valid", None)) is not None:
-            words.append("valid" if valid else "not valid")
+            yield "valid" if valid else "not valid"
+
+    def __repr__(self) -> str:
+        words = [*self._verdict()]
         if isinstance(objective := getattr(self, "objective", None), float):
             words.append(f"objective {objective:.6g}")
         if (certificate := getattr(self, "certificate", None)) is not None:

@@ -55,14 +55,14 @@ def _compared(what: str, one: Array, other: Array, tolerance: float, scale: floa
     return error
 
 
-def check_motion(problem: AnyProblem, design: Mapping[str, float] | None = None, tolerance: float = 1e-6) -> float:
+def check_motion(problem: AnyProblem, design: Mapping[str, float | str] | None = None, tolerance: float = 1e-6) -> float:
     """Compare velocities and accelerations of all points and bodies with differences of their positions: of a dyad.
 
     Parameters
     ----------
     problem : ProblemFile, str or Path
         With a linkage that contains the dyad.
-    design : mapping of str to float [SI], optional
+    design : mapping of str to float [SI] or str, optional
         Values of design variables. Default: their starting values.
     tolerance : float
 
@@ -71,9 +71,10 @@ def check_motion(problem: AnyProblem, design: Mapping[str, float] | None = None,
     Disagreement
     """
     from optlink.linkage.motion import sweep
-    from optlink.tasks.machine import machine_of
+    from optlink.tasks.machine import check_design, machine_of
 
-    machine = machine_of(problem_of(problem), design)
+    problem = problem_of(problem)
+    machine = machine_of(problem, check_design(problem, design))
     angles = np.linspace(0.0, TURN, 48, endpoint=False)
     before, moved, after = (sweep(machine.mechanism, machine.sizes, angles + step) for step in (-STEP, 0.0, STEP))
     worst = 0.0
@@ -96,7 +97,7 @@ def check_motion(problem: AnyProblem, design: Mapping[str, float] | None = None,
     return worst
 
 
-def check_forces(problem: AnyProblem, design: Mapping[str, float] | None = None, tolerance: float = 1e-6) -> float:
+def check_forces(problem: AnyProblem, design: Mapping[str, float | str] | None = None, tolerance: float = 1e-6) -> float:
     """Compare the driving torque, which follows from all joint reactions, with the slope of the energy: of a dyad or a load.
 
     Loads take up power at the velocities of differences of positions.
@@ -105,7 +106,7 @@ def check_forces(problem: AnyProblem, design: Mapping[str, float] | None = None,
     ----------
     problem : ProblemFile, str or Path
         A machine with masses or loads, without friction.
-    design : mapping of str to float [SI], optional
+    design : mapping of str to float [SI] or str, optional
         Values of design variables. Default: their starting values.
     tolerance : float
 
@@ -117,10 +118,10 @@ def check_forces(problem: AnyProblem, design: Mapping[str, float] | None = None,
     """
     from optlink.linkage.mechanism import FRAME
     from optlink.tasks.analyze import analyze
-    from optlink.tasks.machine import machine_of
+    from optlink.tasks.machine import check_design, machine_of
 
     problem = problem_of(problem)
-    machine = machine_of(problem, design)
+    machine = machine_of(problem, check_design(problem, design))
     if machine.friction or not (machine.inertias or machine.loads):
         raise InputError("energies are compared for machines with masses or loads, without friction", "Give such a machine")
     cycle = analyze(problem, design=design)

@@ -54,6 +54,7 @@ def show(content: Summary | Part) -> None:
 def text(content: Summary | Part) -> str:
     """Return what `show` prints, without colours."""
     printer = console()
+    printer.is_jupyter = False  # in a notebook rich would show an empty output of its own beside the text
     with printer.capture() as printed:
         printer.print(rendered(_visible(content)))
     return re.sub(r"\x1b\[[\d;]*m| +$", "", printed.get().rstrip("\n"), flags=re.MULTILINE)

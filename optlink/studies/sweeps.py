@@ -28,6 +28,7 @@ from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.studies.grid import Grid, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of, optimum_task
 from optlink.studies.sweep_task import MAX_ANGLES, OPTIMISE, SweepTask, analysis_task, simulation_task
+from optlink.tasks.machine import check_design
 
 CHANGED = "active_set_changed"
 MAX_ROWS = 200_000  # rows up to which a document contains the table, and a page shows all of it
@@ -276,7 +277,7 @@ def sweep(
     analyze: bool = False,
     columns: Sequence[str] | None = None,
     points: int = 360,
-    design: Mapping[str, float] | None = None,
+    design: Mapping[str, float | str] | None = None,
     simulate: Mapping[str, Any] | None = None,
     backend: str = "ipopt",
     progress: Progress | None = None,
@@ -303,7 +304,7 @@ def sweep(
         such as "slider.stroke_m". Default: the torque or force of each drive.
     points : int
         With `analyze`: number of crank angles per revolution for rms values.
-    design : mapping of str to float [SI], optional
+    design : mapping of str to float [SI] or str, optional
         Values of design variables that are not varied, for an analysis or simulation. Default: their starting values.
     simulate : mapping, optional
         Options of a simulation at every point, instead of an optimisation: revolutions, points, control, tolerance, integrator
@@ -336,12 +337,13 @@ def sweep(
     if not 2 <= points <= MAX_ANGLES:
         raise InputError("out of range", f"Give 2 to {MAX_ANGLES:,} crank angles", key="--points", value=points)
     grid = read_grid(problem, vary)
+    sizes = check_design(problem, design)
     if simulate is not None:
-        task: SweepTask = simulation_task(problem, grid, simulate, design)
+        task: SweepTask = simulation_task(problem, grid, simulate, sizes)
     elif analyze:
-        task = analysis_task(problem, grid, columns, points, design)
+        task = analysis_task(problem, grid, columns, points, sizes)
     else:
-        task = _reoptimising(problem, grid, design, backend)
+        task = _reoptimising(problem, grid, sizes, backend)
     evaluated = task.mode != OPTIMISE
     execution = known_here(problem, execution)
     check(**execution)

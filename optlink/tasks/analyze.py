@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,7 +31,7 @@ from optlink.problem.document import Renamed, Source, Tabled, reports
 from optlink.problem.driving import Driving
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.machine.bodies import SLOWNESS
-from optlink.problem.quantity import check_choice, check_range
+from optlink.problem.quantity import Unusable, check_choice, check_range, read_scalar
 from optlink.tasks.machine import (
     MARGIN,
     check_design,
@@ -656,7 +656,7 @@ def motion(
     *,
     speed: float | None = None,
     acceleration: float = 0.0,
-    design: Mapping[str, float] | None = None,
+    design: Mapping[str, float | str] | None = None,
 ) -> Motion:
     """Compute the motion of a linkage at crank angles: positions, velocities and accelerations, without forces.
 
@@ -668,7 +668,7 @@ def motion(
     speed : float [rad/s], optional
         Crank speed, negative clockwise. Default: that of the problem.
     acceleration : float [rad/s^2]
-    design : mapping of str to float [SI], optional
+    design : mapping of str to float [SI] or str, optional
         Values of design variables. Default: their starting values.
 
     Returns
@@ -689,11 +689,21 @@ def motion(
            [-1.,  0.]])
     """
     problem = problem_of(problem)
-    check_design(problem, design)
-    machine = machine_of(problem, design)
+    sizes = check_design(problem, design) or {}
+    machine = machine_of(problem, {name: sizes[name] for name in sizes if name in problem.model.mechanism.quantities})
     moved = checked_sweep(machine.mechanism, machine.sizes, crank_angle, crank_speed(problem, speed), acceleration)
     check_within_range(problem, np.ravel(np.asarray(moved.crank_angle, dtype=float)))
     return moved
+
+
+@runtime_checkable
+class Frame(Protocol):
+    """A data frame of pandas, or another table with named columns."""
+
+    columns: Any
+
+    def items(self) -> Iterable[tuple[Any, Any]]:
+        """Return the columns by name."""
 
 
 class BatchAnalysis(dict[str, Array]):
@@ -747,7 +757,7 @@ class BatchAnalysis(dict[str, Array]):
 @typed
 def analyze_batch(
     problem: AnyProblem,
-    designs: Mapping[str, ArrayLike | float],
+    designs: Mapping[str, ArrayLike | float] | Frame,
     columns: Sequence[str] | None = None,
     points: int = 360,
     speed: float | None = None,
@@ -758,9 +768,9 @@ def analyze_batch(
     ----------
     problem : ProblemFile, str or Path
         From `optlink.load`, the name of a shipped problem, or a file.
-    designs : mapping of str to array (designs,) or float [SI]
-        Values by the name of the dimension, for example {"coupler.length": [0.14, 0.15]}; `optlink show` lists the names. One
-        number is that of all designs; other dimensions keep the value of the problem.
+    designs : mapping of str to array (designs,) or float [SI], or a data frame of pandas
+        Values by the name of the dimension, for example {"coupler.length": [0.14, 0.15]}; `optlink show` lists the names. Texts
+        have units: ["140 mm", "150 mm"]. One value is that of all designs; other dimensions keep the value of the problem.
     columns : sequence of str, optional
         Names as in `Analysis.columns`. Default: the torque or force of each drive.
     points : int
@@ -952,19 +962,33 @@ def _column(machine: Machine, speed: float, name: str, angles: Array) -> Array:
     return values[0] if len(values) == 1 else np.hypot(*values)
 
 
-def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike | float]) -> dict[str, Array]:
-    quantities = problem.model.mechanism.quantities
-    try:
-        given = {name.removeprefix("mechanism."): np.asarray(values, dtype=float) for name, values in designs.items()}
-    except (TypeError, ValueError) as error:
-        raise InputError(f"not an array of numbers: {error}", "Give SI values by name", problem.file, "designs") from None
+def _without_units(values: NDArray[Any], kind: str) -> NDArray[Any]:
+    """Return an array of numbers and texts with the numbers [SI] of the texts."""
+    read = [read_scalar(one, kind)[0] if isinstance(one, str) else one for one in values.flat]
+    return np.array(read, dtype=object).reshape(values.shape)
+
+
+def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike | float] | Frame) -> dict[str, Array]:
+    quantities, given = problem.model.mechanism.quantities, dict[str, Array]()
+    for key, values in designs.items():
+        name = str(key).removeprefix("mechanism.")
+        check_choice("designs", name, quantities, "unknown quantity", problem.file)
+        try:
+            raw = np.asarray(values)
+            if raw.dtype.kind in "OU":
+                raw = _without_units(np.asarray(values, dtype=object), quantities[name].kind)
+            given[name] = np.asarray(raw, dtype=float)
+        except Unusable as error:
+            raise InputError(error.message, error.remedy, problem.file, f"designs.{name}", error.value) from None
+        except (TypeError, ValueError) as error:
+            remedy = "Give SI values, or texts with units"
+            raise InputError(f"not an array of numbers: {error}", remedy, problem.file, f"designs.{name}") from None
     count = max((values.size for values in given.values()), default=1)
     arrays = {name: values if values.ndim else np.full(count, values) for name, values in given.items()}
     if not arrays:
         raise InputError("no quantity is varied", f"Name one of: {', '.join(quantities)}", problem.file, "designs")
     sizes = {len(values) for values in arrays.values()}
     for name, values in arrays.items():
-        check_choice("designs", name, quantities, "unknown quantity", problem.file)
         if values.ndim != 1 or len(sizes) > 1:
             raise InputError("one value per design is needed", "Give arrays of one length", problem.file, name)
         wrong = np.flatnonzero(~np.isfinite(values) | ((quantities[name].kind == "length") & (values <= 0.0)))

@@ -131,7 +131,7 @@ def balance(
     trade: str | None = None,
     points: int = 25,
     progress: Progress = None,
-    design: Mapping[str, float] | None = None,
+    design: Mapping[str, float | str] | None = None,
 ) -> Balance:
     """Optimise counterweights and springs for a measure of a machine, with a lower bound from the dual.
 
@@ -146,7 +146,7 @@ def balance(
     points : int
         Number of points of the Pareto front, 3 to 1000.
     progress : function of the completed fraction of the Pareto front, optional
-    design : mapping of str to float [SI], optional
+    design : mapping of str to float [SI] or str, optional
         Values of design variables. Default: their starting values.
 
     Returns
@@ -166,13 +166,13 @@ def balance(
     (True, 93.7868, 339.668, ['crank', 'link3'])
     """
     problem = problem_of(problem)
-    check_design(problem, design)
+    sizes = check_design(problem, design)
     begin = time.perf_counter()
     importlib.import_module("cvxpy")
     seconds = {"loading cvxpy": time.perf_counter() - begin}
     begin = time.perf_counter()
-    if design is not None:
-        problem = fixed_design(problem, problem.model.sizes(design))
+    if sizes is not None:
+        problem = fixed_design(problem, problem.model.sizes(sizes))
     if minimise is not None:
         problem = _minimising(minimise, "--minimise", problem)
     task = _Task(problem)

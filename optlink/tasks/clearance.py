@@ -158,7 +158,7 @@ def simulate_clearance(
     control: str = "none",
     *,
     start: float | None = None,
-    design: Mapping[str, float] | None = None,
+    design: Mapping[str, float | str] | None = None,
     flywheel: float = 0.0,
     tolerance: float = 1e-10,
     check_predictability: bool = True,
@@ -183,7 +183,7 @@ def simulate_clearance(
         "none", "inverse", "pid" or "inverse+pid"; all but the first need `[drive] servo` and `[control]`.
     start : float [rad], optional
         Initial crank angle. Default: that of the problem.
-    design : mapping of str to float [SI], optional
+    design : mapping of str to float [SI] or str, optional
         Values of design variables. Default: their starting values.
     flywheel : float [kg m^2]
         Additional moment of inertia at the crank.
@@ -219,7 +219,8 @@ def simulate_clearance(
     """
     problem = problem_of(problem)
     progress, checkpoint, resume = checkpoints.get("progress"), checkpoints.get("checkpoint"), checkpoints.get("resume")
-    setting = _setting(problem, points, speed, control, start, design, flywheel)
+    sizes = check_design(problem, design)
+    setting = _setting(problem, points, speed, control, start, sizes, flywheel)
     _check(revolutions, points, tolerance)
     closed_loop = setting.closed_loop(tolerance)
     work = revolutions + min(revolutions, WATCHED) * check_predictability
@@ -241,7 +242,7 @@ def simulate_clearance(
         "tolerance": tolerance,
         "skipped": skipped,
         "integrator": str(integrator),
-        "design": None if design is None else dict(design),
+        "design": sizes,
         "flywheel_kg_m2": flywheel,
         "check_predictability": check_predictability,
     }
@@ -320,7 +321,7 @@ def simulate_clearance(
     figures = account.figures() | ({} if measured is None else measured.figures)
     return ClearanceSimulation(
         problem,
-        dict(design or {}),
+        sizes or {},
         flywheel,
         setting.gaps,
         setting.output,
@@ -374,7 +375,7 @@ def inverse_model(
     displacement: ArrayLike | None = None,
     *,
     speed: float | None = None,
-    design: Mapping[str, float] | None = None,
+    design: Mapping[str, float | str] | None = None,
 ) -> InverseMotion:
     """Compute the crank motion with which the output of a machine with joint clearance has a given displacement.
 
@@ -389,7 +390,7 @@ def inverse_model(
         Output at n equal intervals of a revolution, the first at `drive.start`. Default: that of the machine without clearance.
     speed : float [rad/s], optional
         Mean crank speed. Default: `drive.speed`.
-    design : mapping of str to float [SI], optional
+    design : mapping of str to float [SI] or str, optional
         Values of design variables. Default: their starting values.
 
     Raises
@@ -404,7 +405,7 @@ def inverse_model(
     [118.9, 139.92]
     """
     problem = problem_of(problem)
-    setting = _setting(problem, 360, speed, "none", None, design, 0.0)
+    setting = _setting(problem, 360, speed, "none", None, check_design(problem, design), 0.0)
     if not setting.modelled:
         raise InputError("the inverse model includes no joint", 'Name one: known = ["C"]', problem.file, "control.known")
     inverse = Inverse(setting.machine, setting.modelled, setting.output, setting.start, setting.nominal)
@@ -444,7 +445,7 @@ def check_simulations(
     points: int,
     tolerance: float,
     speed: float | None = None,
-    design: Mapping[str, float] | None = None,
+    design: Mapping[str, float | str] | None = None,
     integrator: str = "auto",
     runs: int = 1,
 ) -> tuple[Output, str]:
@@ -452,7 +453,7 @@ def check_simulations(
 
     Equations for the compiled integrator are compiled and cached on the disk.
     """
-    setting = _setting(problem, points, speed, control, None, design, 0.0)
+    setting = _setting(problem, points, speed, control, None, check_design(problem, design), 0.0)
     _check(revolutions, points, tolerance)
     closed_loop = setting.closed_loop(tolerance)
     integrator = chosen(integrator, closed_loop, revolutions * runs)
@@ -471,7 +472,6 @@ def _setting(
     design: Mapping[str, float] | None,
     flywheel: float,
 ) -> _Setting:
-    check_design(problem, design)
     model, name = problem.model, problem.file
     if control not in [str(kind) for kind in Control]:
         raise InputError(

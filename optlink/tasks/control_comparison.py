@@ -17,7 +17,7 @@ from optlink.problem.base_model import SPELLINGS
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_choice, check_range
 from optlink.tasks.clearance import check_simulations
-from optlink.tasks.machine import machine_of
+from optlink.tasks.machine import check_design, machine_of
 from optlink.tasks.parallel_runs import RunJob, RunResult, run_jobs
 from optlink.tasks.results.clearance import (
     Comparison,
@@ -69,7 +69,7 @@ def compare(
     speed: float | None = None,
     points: int = 200,
     tolerance: float = 1e-8,
-    design: Mapping[str, float] | None = None,
+    design: Mapping[str, float | str] | None = None,
     integrator: str = "auto",
     **execution: Unpack[ResumableExecution],
 ) -> Comparison:
@@ -93,7 +93,7 @@ def compare(
         Rows per revolution.
     tolerance : float
         Relative tolerance of the integrator.
-    design : mapping of str to float [SI], optional
+    design : mapping of str to float [SI] or str, optional
         Values of design variables. Default: their starting values.
     integrator : str
         As in `simulate_clearance`; "auto" counts all runs.
@@ -130,7 +130,7 @@ def compare(
     checkpoint, resume = execution.get("checkpoint"), execution.get("resume")
     check_engine(**where)
     common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
-    common["design"] = None if design is None else dict(design)
+    common["design"] = check_design(problem, design)
     integrator = resumed(integrator, resume)
     for kind in kinds:  # refuse options that no run accepts, before any process starts; and compile, once for all
         _, integrator = check_simulations(problem, control=kind, integrator=integrator, runs=starts * len(kinds), **common)
@@ -190,7 +190,7 @@ def tune(
     speed: float | None = None,
     points: int = 200,
     tolerance: float = 1e-8,
-    design: Mapping[str, float] | None = None,
+    design: Mapping[str, float | str] | None = None,
     integrator: str = "auto",
     **execution: Unpack[ResumableExecution],
 ) -> Tuning:
@@ -259,7 +259,7 @@ def tune(
     generator = np.random.default_rng(seed)
     sobol = qmc.Sobol(len(names), seed=seed).random(1 << int(np.ceil(np.log2(max(2, evaluations // 2)))))
     common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
-    common["design"] = None if design is None else dict(design)
+    common["design"] = check_design(problem, design)
     integrator = resumed(integrator, resume)
     runs = starts * (evaluations + 1)
     output, integrator = check_simulations(problem, control=control, integrator=integrator, runs=runs, **common)
@@ -308,7 +308,7 @@ def tune(
         ran = dict(run_jobs(jobs, work))
         return _trials([ran[k] for k in range(starts)])
 
-    size = _reference_values(problem, output, design)
+    size = _reference_values(problem, output, common["design"])
     with pool(**where) as work:
         before = cost(problem, work)
         for k in range(evaluations):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,13 +11,14 @@ from optlink.errors import InputError, nearest
 from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
 from optlink.problem.file import AnyProblem, problem_of
-from optlink.tasks.programme import Programme, build
+from optlink.tasks.programme import Programme, build, cosines, moved_rows, slot_of
 
-OBJECTIVE = "objective"
+OBJECTIVE, LIMITS = "objective", "limits."
 ACTIVE = 1e-7  # distance from a bound, as a share of the size of the row, within which a row holds with equality
 SAME = 1e-2  # relative difference below which the derivatives of two rows are those of one position
 STEPS = 4  # of Newton's method, from crank angles that are near the best ones
 NEAR = 1e-2  # rad; largest distance of crank angles of points from those with the least objective
+POSITIONS, FINE, ROUNDS = 181, 9, 6  # positions of a motion; then of two of these steps, in five more rounds
 STATIONARY = 1e-6  # rad; largest distance of crank angles from those at which a limit has no slope
 
 
@@ -111,17 +113,57 @@ class _Local:
         InputError
             If there is no limit of this name or key, or if several have the key.
         """
-        if of == OBJECTIVE:
+        if of in (OBJECTIVE, *self._terms()):
             return None
-        rows = [k for k, one in enumerate(self.programme.constraints) if one.key and of in (one.name, one.key)]
+        own = (f"{LIMITS}{of.replace(' ', '_')}", of)
+        rows = [k for k, one in enumerate(self.programme.constraints) if one.key and (one.name == of or one.key in own)]
+        rows = rows or self._side(*of.rpartition(".")[::2])
         if not rows:
             known = [OBJECTIVE, *dict.fromkeys(one.name for one in self.programme.constraints if one.key)]
             raise InputError("no such limit", nearest(of, known), self.programme.problem.file, "of", of)
         if len(names := {self.programme.constraints[k].name for k in rows} - {of}) > 1:
             message, remedy = "several limits have this key", f"Give one of {', '.join(sorted(names))}"
             raise InputError(message, remedy, self.programme.problem.file, "of", of)
-        low, high, g = self.programme.g_low, self.programme.g_high, self.values.g
-        return min(rows, key=lambda k: min(g[k] - low[k], high[k] - g[k]))
+        return self._nearest(rows)
+
+    def _side(self, key: str, side: str) -> list[int]:
+        """Return the rows with a bound of one side, "min" or "max", of a limit by its key; its angles fall as cosines rise."""
+        ends, falling = {"min": self.programme.g_low, "max": self.programme.g_high}, cosines(self.programme)
+        sides = {"min": ("min", "max"), "max": ("max", "min")}.get(side, ())
+        return [
+            k
+            for k, one in enumerate(self.programme.constraints)
+            if one.key == key and sides and math.isfinite(ends[sides[falling[k]]][k])
+        ]
+
+    def _nearest(self, rows: Sequence[int]) -> int:
+        """Return the row that is nearest to its bound, of a limit over a motion moved to where the limit is nearest to it."""
+        programme = self.programme
+
+        def gap(k: int) -> float:
+            g = self.values.g[k]
+            return float(min(g - programme.g_low[k], programme.g_high[k] - g))
+
+        nearest = min(rows, key=gap)
+        slots = [slot_of(programme, k) for k in rows]
+        free = {slot for slot in slots if slot is not None} - {slot_of(programme, k) for k in self.rows}
+        if not free:
+            return nearest
+        slot = max(free)
+        same, share, grid = [k for k, at in zip(rows, slots, strict=True) if at == slot], 0.0, np.linspace(0.0, 1.0, POSITIONS)
+        for _ in range(ROUNDS):
+            g = np.array([moved_rows(programme, self.x, slot, share)[same] for share in grid])
+            best = int(np.nanargmin(np.min(np.minimum(g - programme.g_low[same], programme.g_high[same] - g), axis=1)))
+            share, grid = grid[best], np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)], FINE)
+        moved_rows(programme, self.x, slot, share)
+        self.values = programme.at(self.x)
+        return min((*same, nearest), key=gap)
+
+    def _terms(self) -> tuple[str, ...]:
+        """Return the names of the quantity that alone is minimised, as the file and a function of the user have it."""
+        model = self.programme.problem.spec
+        names = [goal.quantity for goal in model.goals if model.single]
+        return (*names, *(name.replace(" ", "_") for name in names))
 
     def derivatives(self, of: str, *, second: bool) -> tuple[Array, Array]:
         """Return the derivatives (free,) and, if wanted, the second ones (free, free) of the objective or of a limit."""
@@ -160,8 +202,9 @@ def gradient(problem: AnyProblem, design: Mapping[str, float | str], of: str = O
         Value of every design variable, for example `result.design`.
     of : str
         "objective", as `optlink.solve` states it; or the name of a limit, or its key if no other has it, as
-        `optlink.build(problem).constraints` has them: a limit of a transmission angle by its cosine, of several positions that
-        nearest to the bound.
+        `optlink.build(problem).constraints` has them, also with its side: "limits.transmission_angle.min". An own function
+        has its name in Python. A limit over a motion counts where it is nearest to its bound. That of a transmission angle is
+        its cosine; of a problem without targets, such as a machine, the angle [rad].
 
     Returns
     -------

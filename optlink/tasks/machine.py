@@ -45,24 +45,18 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
 def check_design(problem: ProblemFile, design: Mapping[str, float | str] | None) -> dict[str, float] | None:
     """Return a design in SI, of numbers and of texts with units.
 
-    The start angles of a motion law of a four-bar may be in it although they follow from the lengths, as in `result.design`.
+    The start angles of a motion law may be in it although they follow from the lengths, as in `result.design`.
 
     Raises
     ------
     InputError
         If the problem does not know a name, or a value is not finite or, as a number, not plausible in SI.
     """
-    follow = (
-        ()
-        if problem.task in ("path", "cycle")
-        else (
-            getattr(problem.model, "start_name", "phi0"),
-            getattr(problem.model, "base_name", "psi0"),
-        )
-    )
     quantities, read = problem.model.quantities, dict[str, float]()
+    with np.errstate(all="ignore"):
+        known = problem.model.complete({}) if design else {}
     for name, value in (design or {}).items():
-        check_choice("--design", name, (*quantities, *follow), UNKNOWN_QUANTITY, problem.file)
+        check_choice("--design", name, known, UNKNOWN_QUANTITY, problem.file)
         if isinstance(value, str):
             with input_of(problem.file, f"design.{name}", value):
                 read[name] = float(read_quantity(value, quantities[name].kind if name in quantities else "angle").value)

@@ -304,6 +304,25 @@ def _placed(problem: ProblemFile, nlp: NLP, y: Array, *, scaled: bool = False) -
     return Programme(problem, nlp, nlp.lifted(y), scaled=scaled)
 
 
+def cosines(programme: Programme) -> list[bool]:
+    """Return of each constraint whether it is the cosine of a limited angle, which falls as the angle rises."""
+    return [row.scale.cosine for row in programme._nlp.rows]
+
+
+def slot_of(programme: Programme, row: int) -> int | None:
+    """Return the number of the movable position to which a constraint belongs; None if it has a fixed one, or none."""
+    first, each = programme._nlp.exchange_rows
+    slot = (row - first) // max(1, each)
+    return slot if each and 0 <= slot < programme._nlp.exchange_count else None
+
+
+def moved_rows(programme: Programme, x: Array, slot: int, share: float) -> Array:
+    """Move a movable position of a programme to a share of its motion; return the constraints (m,) at x."""
+    programme._p[len(programme._p) - programme._nlp.exchange_count + slot] = share
+    programme._point = None
+    return programme._g_origin + programme._g_size * programme._nlp.values(programme._scaled_point(x), programme._p)[1]
+
+
 def _as_designed(result: DesignResult) -> ProblemFile:
     """Return the problem of a result with the assembly modes of its design, and its rotation where the points leave it open."""
     problem, machine = result.definite, result.machine

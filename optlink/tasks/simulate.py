@@ -112,7 +112,7 @@ def simulate(
     duration: float | None = None,
     rows: int = 1000,
     speed: float | None = None,
-    design: Mapping[str, float] | None = None,
+    design: Mapping[str, float | str] | None = None,
     progress: Callable[[float], None] | None = None,
     flywheel: float = 0.0,
 ) -> Simulation:
@@ -130,7 +130,7 @@ def simulate(
     speed : float [rad/s], optional
         Crank speed at the start, which stays constant without a torque. Default: `drive.initial_speed` of the problem under a
         torque, else its `drive.speed`; under a torque without either at rest.
-    design : mapping of str to float [SI], optional
+    design : mapping of str to float [SI] or str, optional
         Values of design variables. Default: their starting values.
     progress : function of the completed fraction, optional
     flywheel : float [kg m^2]
@@ -153,12 +153,12 @@ def simulate(
     (0.1, 220.81)
     """
     problem = problem_of(problem)
-    check_design(problem, design)
+    sizes = check_design(problem, design)
     if progress is not None:
         progress(0.0)  # the preparation of a long chain of links takes seconds
     drive = problem.model.drive
-    machine = machine_of(problem, design)
-    start, begun = starting_angle(problem, machine, design)
+    machine = machine_of(problem, sizes)
+    start, begun = starting_angle(problem, machine, sizes)
     driving = problem.model.driving
     torque = drive.torque if drive.force is None else DriveForce(drive.force, driving.place(0.0), driving.lever)
     prescribed = bool(machine.mechanism.drives) and driving.ends is None
@@ -269,7 +269,7 @@ def simulate(
         law = f"{len(machine.mechanism.drives)} drives, {len(free)} of them free" if problem.model.drives else "a controller"
     return Simulation(
         problem,
-        dict(design or {}),
+        sizes or {},
         flywheel,
         efforts(machine.mechanism)[0].quantity if torque is not None else law if prescribed else "constant speed",
         result.ending,

@@ -101,3 +101,11 @@ def test_two_results_on_a_page_move_independently(driver, result, tmp_path):
     assert angle == f"{motion(shaper)['slider']['values'][30]:.1f}°"
     assert console(driver) == []
     assert requests(driver, path) == []
+
+
+def test_a_printed_result_adds_no_output_to_a_cell(result, monkeypatch):
+    shown = []
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    monkeypatch.setattr("rich.jupyter.display", lambda *parts: shown.append(parts))
+    assert "optimal, valid" in str(result)
+    assert shown == []

@@ -75,6 +75,50 @@ def test_derivatives_of_a_transmission_angle_are_those_of_the_law_of_cosines() -
     assert curvature["coupler"]["coupler"] == pytest.approx(-1.0 / (b * c) + top / (b**3 * c), rel=1e-9)
 
 
+@pytest.mark.slow
+def test_derivatives_of_extremes_are_those_of_the_fine_motion() -> None:
+    @optlink.limit(unit="m/s", max=3.5)
+    def ram_speed(machine):  # type: ignore[no-untyped-def]
+        return machine.slides["F"][1]
+
+    angles = ["30 deg", "150 deg"]  # far from both: no peak is active
+    problem = optlink.load("shaper-design", {**ram_speed.changes, "limits.transmission_angle": angles})
+    design = {name: problem.model.quantities[name].value for name in problem.model.free} | {"C.x": 0.03, "coupler.length": 0.25}
+
+    @cache
+    def measured(given: tuple[tuple[str, float], ...]) -> dict[str, float]:
+        moved = optlink.motion(problem, np.linspace(0.0, 2.0 * np.pi, 7_201), design=dict(given))
+        rod = moved.position("E") - moved.position("D")
+        angle = np.arccos(rod[:, 1] / np.hypot(*rod.T))  # to the normal of the guide of the ram
+        return {"least": angle.min(), "largest": angle.max(), "speed": moved.velocity("E")[:, 0].max()}
+
+    key = "limits.transmission_angle"
+    for of, name in {
+        "least transmission angle at E": "least",  # [rad]
+        "largest transmission angle at E": "largest",
+        "ram_speed": "speed",
+        f"{key}.max": "",
+    }.items():
+        if not name:
+            with pytest.raises(InputError, match="Give one of largest transmission angle at E, largest transmission angle at G"):
+                optlink.gradient(problem, design, of)
+            continue
+        slopes = differences(lambda given, name=name: measured(tuple(given.items()))[name], design)
+        agree(optlink.gradient(problem, design, of), slopes, design, 5e-4)
+
+
+def test_an_own_objective_has_the_name_of_its_function() -> None:
+    @optlink.objective(unit="rad/s", measure="rms")
+    def coupler_speed(machine):  # type: ignore[no-untyped-def]
+        return machine.state("coupler").omega
+
+    changes = {**coupler_speed.changes, "requirement.measure": "max", "requirement.tolerance": "3 deg"}
+    problem, design = optlink.load("crank-rocker", changes), {"coupler": 0.42, "rocker": 0.24}
+    assert optlink.gradient(problem, design, "coupler_speed") == optlink.gradient(problem, design)
+    side, row = (optlink.gradient(problem, design, of) for of in ("limits.transmission_angle.max", "largest transmission angle"))
+    assert side == row != optlink.gradient(problem, design, "limits.transmission_angle.min")
+
+
 def test_a_design_may_have_texts_with_units() -> None:
     texts = {"coupler": "412 mm", "rocker": "23.2 cm"}
     numbers = {"coupler": 0.412, "rocker": 0.232}

@@ -120,3 +120,6 @@ def test_results_have_a_one_line_summary() -> None:
         repr(results[0])
         == "<SynthesisResult 'crank-rocker': optimal, valid, objective 0.00759237, globally optimal within 0.0001 %>"
     )
+    for result in results[1], optlink.validate("crank-rocker", {"coupler": 0.4, "rocker": 0.23}):
+        words = repr(result).partition(": ")[2].split(", ")[:2]
+        assert any(line.startswith(", ".join(words)) for line in str(result).splitlines()), words

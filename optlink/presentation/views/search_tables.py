@@ -44,7 +44,7 @@ from optlink.presentation.table_spec import (
 from optlink.problem.machine.model import ShownObjective
 from optlink.solvers.contract import FOUND, LEAST_SQUARES
 from optlink.solvers.solution import LimitState, Relaxation
-from optlink.tasks.results.certificate import MOST_DRAWN, Certificate, Cover, share_text
+from optlink.tasks.results.certificate import MOST_DRAWN, Certificate, Cover, share_text, verdict_words
 from optlink.tasks.results.common import Evidence
 from optlink.tasks.results.conflict import OpposedLimit, opposed_limits, outward
 from optlink.tasks.results.exact import BY_TRANSMISSION, DEFECTS
@@ -382,16 +382,9 @@ def refuted_first(outcome: SynthesisResult) -> Iterator[Line]:
 
 
 def search_verdict(status: Status, valid: bool, certificate: Certificate | None) -> list[Inline]:
-    """Return how a search ended, and its verdict; an infeasible problem has one phrase for both.
-
-    Without a closed certificate an optimum is a local one.
-    """
-    if status is Status.INFEASIBLE:
-        return [bad("no feasible design" if certificate is not None and certificate.closed else "no feasible design found")]
-    ended = "given design" if status is Status.NOT_SEARCHED else status.value
-    if status is Status.OPTIMAL and (certificate is None or not certificate.proven):
-        ended = "locally optimal"
-    return [f"{ended}, ", verdict("valid" if valid else "not valid", valid)]
+    """Return how a search ended, and its verdict; an infeasible problem has one phrase for both."""
+    ended, *judged = verdict_words(status, valid, certificate)
+    return [f"{ended}, ", verdict(judged[0], valid)] if judged else [bad(ended)]
 
 
 def graded_status(line: Sequence[Inline], best: Any, tail: str) -> Iterator[Line]:

@@ -167,7 +167,7 @@ def tolerance(
     samples: int = SAMPLES,
     seed: int = 0,
     shape: str = NORMAL,
-    design: Mapping[str, float] | None = None,
+    design: Mapping[str, float | str] | None = None,
     target_yield: float | None = None,
     costs: Mapping[str, float] | None = None,
     robust: float | str | None = None,
@@ -197,7 +197,7 @@ def tolerance(
         Seed of the samples.
     shape : str
         Default distribution of tolerances: "normal", "uniform" or "triangular".
-    design : mapping of str to float [SI], optional
+    design : mapping of str to float [SI] or str, optional
         Values of the design variables. Default: the optimum.
     target_yield : float, optional
         Required yield, between 0 and 1, for which tolerances of least cost are allocated; see
@@ -235,7 +235,7 @@ def tolerance(
     read_tolerances(problem, tolerances, shape)  # before a search
     if output in (None, ERROR) and getattr(problem.model, "parts", ()):
         _limit(limit, problem.spec.parts[0].unit)
-    check_design(problem, design)
+    sizes = check_design(problem, design)
     with _processes(samples, known_here(problem, execution)) as runs:
         file, robust_result = problem, None
         if robust is not None:
@@ -244,8 +244,8 @@ def tolerance(
                 remedy = "Leave --design and --quantity out, or --robust"
                 raise InputError("a robust design is searched, for its error", remedy, problem.file, "--robust")
             robust_result = _robust_design(problem, tolerances, robust, limit, samples, seed, shape, runs)
-            file, design = robust_result.result.problem, robust_result.free  # with a definite assembly mode
-        nominal = nominal_design(file, output, crank_angles, design)
+            file, sizes = robust_result.result.problem, robust_result.free  # with a definite assembly mode
+        nominal = nominal_design(file, output, crank_angles, sizes)
         deviations = read_deviations(problem, nominal, tolerances, shape)
         for name, cost in (costs or {}).items():
             if not 0.0 < cost < math.inf:

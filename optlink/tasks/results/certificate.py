@@ -32,6 +32,19 @@ GLOBAL_GAP = 1e-6  # largest relative gap of a design that is called globally op
 SCHEMA = "optlink/certificate/2"
 
 
+def verdict_words(status: Status, valid: bool, certificate: Certificate | None) -> tuple[str, ...]:
+    """Return how a search ended, and whether its design is valid; an infeasible problem has one phrase for both.
+
+    Without a closed certificate an optimum is a local one.
+    """
+    if status is Status.INFEASIBLE:
+        return ("no feasible design" if certificate is not None and certificate.closed else "no feasible design found",)
+    ended = "given design" if status is Status.NOT_SEARCHED else status.value
+    if status is Status.OPTIMAL and (certificate is None or not certificate.proven):
+        ended = "locally optimal"
+    return ended, "valid" if valid else "not valid"
+
+
 def exact(problem: ProblemFile, objective: float) -> bool:
     """Return whether an objective is zero to rounding, so that no design can be better."""
     model: Any = problem.model

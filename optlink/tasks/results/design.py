@@ -30,7 +30,7 @@ from optlink.problem.terms import BACK, Term
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.machine import turning_machine
-from optlink.tasks.results.certificate import Certificate, message
+from optlink.tasks.results.certificate import Certificate, message, verdict_words
 from optlink.tasks.results.common import (
     FOUND,
     INCOMPLETE,
@@ -719,6 +719,9 @@ class SynthesisResult(Document):
         if self.best is not None:
             return self.best.status
         return Status.NOT_SEARCHED if self.exact_solutions is not None and self.exact_solutions.special else Status.INFEASIBLE
+
+    def _verdict(self) -> tuple[str, ...]:
+        return verdict_words(self.status, self.valid, self.certificate)
 
     @property
     def objective(self) -> float:
