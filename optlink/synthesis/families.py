@@ -118,8 +118,12 @@ class TimedFamily:
     def positions(self, drivers: Array, rows: Array) -> Positions:
         """Return the four-bars of cranks (n,) and partners (m,)."""
         corners, pivots = self.drivers.between(drivers)
-        pins = pivots[:, None] + (self.places[0] - corners)[:, None] * np.exp(1j * (self.inputs - self.inputs[0]))
-        joints = np.full((len(drivers), len(rows), len(self.places)), np.nan + 0j)
+        return self.of_cranks(pivots, self.places[0] - corners, rows)
+
+    def of_cranks(self, pivots: Complex, cranks: Complex, rows: Array) -> Positions:
+        """Return the four-bars of cranks (n,), from pivot to pin at the first point [m], and partners (m,)."""
+        pins = pivots[:, None] + cranks[:, None] * np.exp(1j * (self.inputs - self.inputs[0]))
+        joints = np.full((len(pivots), len(rows), len(self.places)), np.nan + 0j)
         fixed = joints[..., 0].copy()
         with np.errstate(all="ignore"):
             turned = (self.places - pins) / (self.places[0] - pins[:, :1])

@@ -36,11 +36,12 @@ GRASHOF, BOUNDED = "Grashof: ", " within its bounds"  # names of checks
 
 @dataclass(frozen=True)
 class SliderCrank:
-    """Crank, rod and guide of a linkage that is a slider-crank as a whole; `side` as that of the dyad."""
+    """Crank, rod and guide of a slider-crank, with the pins of the rod at crank and slider; `side` as that of the dyad."""
 
     crank: Link
     coupler: Link
     pin: str
+    joint: str
     guide: Guide
     side: int
 
@@ -58,7 +59,7 @@ def slider_crank(linkage: Mechanism) -> SliderCrank | None:
     pin, guide = group.outer
     plain = crank.end == pin and {group.first.start, group.first.end} == {pin, group.inner}
     placed = (guide.on, guide.through, guide.tilt) == (FRAME, crank.start, 0.0) and guide.at in ("", group.inner)
-    return SliderCrank(crank, group.first, pin, guide, group.side) if plain and placed else None
+    return SliderCrank(crank, group.first, pin, group.inner, guide, group.side) if plain and placed else None
 
 
 def loop_of(task: DesignProblem) -> InnerFourBar | SliderCrank | None:
@@ -237,7 +238,7 @@ class ThreePoints(FiveTargets):
         """Return the number of solutions of three linear equations, and the linkage that they make."""
         task, slides, begin = self.task, self.task.slides, self.task.design({})
         inputs, outputs = (np.asarray(part) for part in (task.law.offsets, rises(task)))
-        turned = _frame_direction(task)
+        turned = frame_direction(task)
         outputs = outputs + begin[task.base_name] - turned * (not slides)
         found = three_points(inputs + begin[task.start_name] - turned, outputs, slides=slides)
         kind, linkage = "three points of a function from given starts", "four-bar" if task.four_bar else "slider-crank"
@@ -247,7 +248,7 @@ class ThreePoints(FiveTargets):
         return counts, [] if found is None else [moved(found, inputs, outputs, slides=slides)]
 
 
-def _frame_direction(task: DesignProblem) -> float:
+def frame_direction(task: DesignProblem) -> float:
     """Return the direction [rad] from which the angles of a linkage by itself count: that of its frame or guide."""
     loop, values = loop_of(task), task.design({})
     direction = loop.guide.direction if isinstance(loop, SliderCrank) else task.frame_angle or 0.0

@@ -230,3 +230,19 @@ def test_special_timed_points_are_told(count):
             assert "a crank alone passes them" in found.sentence
         elif count == 5:
             assert "as in an elliptic trammel" in found.sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("made", "joints"), [(function, ("B", "C")), (slide, ("B", "C")), (timed, ("D", "C"))])
+def test_pictures_show_the_family_and_the_design_on_it(made, joints, tmp_path):
+    result = optlink.synthesis.exact(optlink.read(made(0)[0] if made is timed else made(0, 4)[0]))
+    motion = optlink.motion(result.machine, crank_angle=result.best.crank_angles[:1])
+    for axes, joint in zip(result.plot("dyads").axes, joints, strict=True):
+        lines = {line.get_label(): np.asarray(line.get_xydata()) for line in axes.get_lines()}
+        usable = next(line for name, line in lines.items() if name.startswith("usable"))
+        size = np.ptp(axes.get_xlim())
+        near = np.linalg.norm(usable - 1e3 * motion.position(joint)[0], axis=1) / size
+        assert np.nanmin(near) < 0.02
+        assert np.isfinite(usable).any()
+    page = optlink.report(result, tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "usable: targets in order" in page

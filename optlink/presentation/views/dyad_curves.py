@@ -10,8 +10,10 @@ from optlink.presentation.chart_spec import CRANK, LIMIT, MUTED, RESULT, ROCKER,
 from optlink.presentation.format import Scale, scale
 from optlink.presentation.views.design_charts import FRAME_SIZE, small_frames
 from optlink.presentation.views.design_view import DesignView
-from optlink.synthesis.four_poses import DyadCurves, Pairs, pairs
-from optlink.tasks.four_poses import curves_of
+from optlink.synthesis.families import Family, TimedFamily
+from optlink.synthesis.four_poses import DyadCurves, Pairs, Positions, pairs
+from optlink.tasks.five_targets import SliderCrank, frame_direction, loop_of
+from optlink.tasks.four_poses import applies, curves_of, family_of
 from optlink.tasks.results.design import SynthesisResult
 
 WINDOW = 1.6  # room about poses and linkage, as a share of their extent
@@ -24,6 +26,8 @@ def charts(result: SynthesisResult, shown: list[DesignView]) -> Iterator[ChartSp
         for view in shown:
             if (curves := curves_of(view.task)) is not None and len(curves.points):
                 yield from _charts(curves, view)
+            elif curves is None and applies(view.task):
+                yield from _family_charts(family_of(view.task), view)
         return
     for task in result.problem.variants()[0].spec.parts:
         if (curves := curves_of(task)) is not None and len(curves.points):
@@ -86,3 +90,58 @@ def _parts(
     for name, colour, width, kept in parts:
         line = np.where(kept[:, None], places, np.nan) * unit.factor
         yield Curve.through(line, name, colour, width, opacity=0.55 if width > 4.0 else 1.0, hover=False, gid=name)
+
+
+def _family_charts(family: Family, view: DesignView) -> Iterator[ChartSpec]:
+    """Yield the curves of the joints of all linkages of a family at the first target, with the usable ones in colour.
+
+    Of timed points they are those of all cranks, and of the partners of the crank that is drawn.
+    """
+    task, loop = view.task, loop_of(view.task)
+    if family.drivers.special or loop is None:
+        return
+    ends_of = (loop.joint,) if isinstance(loop, SliderCrank) else (loop.joint, loop.ground_pin)
+    names = task.linkage.crank.start, loop.pin, *ends_of
+    pivot, pin, joint, *fixed = (complex(*view.at.position(name)[0]) for name in names)
+    if isinstance(family, TimedFamily):
+        corners, pivots = family.drivers.dyads
+        found = family.of_cranks(np.array([pivot]), np.array([pin - pivot]), np.arange(0.0, len(family.rows), 0.25))
+        usable, of, titles = _usable(found, view)[0], "partners of the drawn crank", ("Pivots", "Pins and joints, at point 1")
+        ends = found.fixed[0], found.joint[0, :, 0]
+        cranks, marks = [pivots, pivots + family.places[0] - corners], [[pivot, *fixed], [pin, joint]]
+    else:
+        found = family.positions(np.arange(len(family.drivers.points), dtype=float), family.rows)
+        usable, of, titles = (
+            _usable(found, view)[:, 0],
+            "all",
+            ("Crank pins at position 1", "Joints of the output there"),
+        )
+        turned = fixed[0] - pivot if fixed else np.exp(1j * frame_direction(task))
+        ends = pivot + turned * found.pin[:, 0, 0], pivot + turned * found.joint[:, 0, 0]
+        cranks, marks = [], [[pin], [joint]]
+    about = np.array([[one.real, one.imag] for one in (pivot, pin, joint, *fixed)])
+    middle, half = 0.5 * (about.min(axis=0) + about.max(axis=0)), 0.5 * WINDOW * float(np.max(np.ptp(about, axis=0)))
+    unit = scale(half, "m")
+    size = unit.factor
+    for k, (title, end) in enumerate(zip(titles, ends, strict=True)):
+        layers = [("all cranks", MUTED, 1.0, cranks[k])] if cranks else []
+        layers.append((of, RESULT if cranks else MUTED, 1.0, end))
+        layers.append(("usable: targets in order", ROCKER, 3.5, np.where(usable, end, np.nan)))
+        traces = []
+        for name, colour, width, line in layers:
+            places = np.stack([line.real, line.imag], axis=1)
+            places[~(np.max(np.abs(places - middle), axis=1) < FAR * half)] = np.nan
+            traces.append(Curve.through(places * size, name, colour, width, opacity=0.6 if width > 2.0 else 1.0, hover=False))
+        frame = np.array([[one.real, one.imag] for one in (pivot, *fixed)]) * size
+        traces.append(Curve.through(frame, "pivots", TARGET, 1.3, mode="markers", symbol="cross", size=5.0))
+        drawn = zip(marks[k], ("drawn", "partner"), (CRANK, ROCKER), strict=False)
+        points = [Mark(z.real * size, z.imag * size, name, colour, size=7.0, written=True) for z, name, colour in drawn]
+        (x0, y0), (x1, y1) = (middle - half) * size, (middle + half) * size
+        x, y = Axis(f"x [{unit.unit}]", (x0, x1)), Axis(f"y [{unit.unit}]", (y0, y1))
+        heading = f"{view.title}: all linkages of the targets"
+        yield ChartSpec("dyads", title, [Panel(y, traces, marks=points)], x, heading, equal=True, cursor=False, width=6.4)
+
+
+def _usable(found: Positions, view: DesignView) -> Array:
+    """Return whether linkages pass the targets in order, (drivers, followers)."""
+    return np.asarray((found.pairs.defect == 0) & (found.pairs.turns | (view.task.limits.crank == "span")))
