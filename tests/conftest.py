@@ -59,6 +59,8 @@ FIRST = (
     "test_the_margin_design_has",
     "test_no_random_span_law_of_many",
     "test_best_known_value_is_reached",
+    "test_best_known_objective_is_reached",
+    "test_least_torque_within",
     "test_compiled.py",
     "test_control.py",
     "test_extrema.py",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import re
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from scipy.optimize import differential_evolution
 
 import optlink
 from optlink.errors import InputError
+from tests.solved import once
 from tests.tasks.test_drive_ranges import CRANK_ROCKER, LIFT, lift_forces, problem
 
 BACKENDS = pytest.mark.parametrize("backend", ["ipopt", "slsqp"])
@@ -52,12 +55,16 @@ def four_bar(crank, coupler, rocker, phi, pivot, side):
 
 
 def least(cost, bounds, seed=1):
+    """The result of differential evolution, searched once per run for both back ends of a test."""
+
     def safe(x):
         with np.errstate(all="ignore"):
             value = cost(x)
         return value if math.isfinite(value) else 1e6
 
-    return differential_evolution(safe, bounds, seed=seed, tol=1e-10, maxiter=400)
+    test = os.environ["PYTEST_CURRENT_TEST"].partition(" ")[0]
+    name = re.sub(r"ipopt|slsqp|\W+", "-", f"least of {test} {bounds} {seed}")
+    return once(name, lambda: differential_evolution(safe, bounds, seed=seed, tol=1e-10, maxiter=400))
 
 
 @pytest.mark.slow
