@@ -24,6 +24,7 @@ from optlink.synthesis.four_poses import DEFECTS, POSES, DyadCurves, Pairs, curv
 from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, applies as of_five_targets, marked
 from optlink.tasks.results.design import SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolutions
+from optlink.units import count_noun
 
 MOST = 400  # dyads that are drivers and followers of all pairs
 APART = 0.04  # least distance of listed pairs along one of the curves, as a share of the dyads
@@ -147,7 +148,7 @@ class FourTargets(FiveTargets):
         turning = every.turns | (task.limits.crank == "span")
         passing = (every.defect == 0) & turning
         inside = passing & self._inside(drivers, rows)
-        count, curve = inside.size, f"{found.count} closed curve{'s' * (found.count > 1)}"
+        count, curve = inside.size, count_noun(found.count, "closed curve")
         curve = curve if len(found.places) == POSES else "a line"
         shares = {name: np.mean(every.defect == k) for k, name in enumerate(DEFECTS[:4]) if name}
         shares["crank does not turn"] = np.mean((every.defect == 0) & ~turning)

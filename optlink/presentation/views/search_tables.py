@@ -50,7 +50,7 @@ from optlink.tasks.results.conflict import OpposedLimit, opposed_limits, outward
 from optlink.tasks.results.exact import BY_TRANSMISSION, DEFECTS
 from optlink.tasks.results.fit import Fit
 from optlink.tasks.results.rounding import Influence, Rounding
-from optlink.units import percent
+from optlink.units import count_noun, percent
 from optlink.validation import Check
 from optlink.validation.check import requirements
 
@@ -369,8 +369,8 @@ def reached(outcome: SynthesisResult, evidence: Evidence) -> str:
 def effort(outcome: SynthesisResult, hits: str = "") -> Paragraph:
     """Return what the search consisted of, and how long it took."""
     solution, words = outcome.solution, ["" if outcome.backend == "none" else outcome.backend]
-    words.append(f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else "")
-    words.append(f"{solution.iterations} iterations" if solution is not None and solution.iterations else "")
+    words.append(count_noun(outcome.starts, "start") if outcome.starts else "")
+    words.append(count_noun(solution.iterations, "iteration") if solution is not None and solution.iterations else "")
     texts = hits, ", ".join(filter(None, words)), times(outcome.seconds, 1)
     return Paragraph(quiet("; ".join(filter(None, texts))), appendix=True)
 
@@ -474,7 +474,7 @@ def checks(selected: Sequence[Check]) -> TableSpec:
         if item not in gathered
     ]
     if gathered:
-        rows.append((good("ok"), f"{len(gathered)} dimensions within bounds", "all", "", ""))
+        rows.append((good("ok"), f"{count_noun(len(gathered), 'dimension')} within bounds", "all", "", ""))
     title = f"Validation: {sum(check.passed for check in selected)} of {len(selected)} checks passed"
     return table(title, ["", "check", ">value", "", "limit"], rows, appendix=True)
 
@@ -541,7 +541,7 @@ def exact_solutions(outcome: SynthesisResult) -> TableSpec | None:
     for k, one in enumerate(found.solutions[:MOST_EXACT], start=1):
         sizes = [number(one.values[name] * model.display(name)[0], 4) for name in names]
         angle, others = fixed(math.degrees(one.transmission), 1), len(one.reasons) - MOST_REASONS
-        reasons = ", ".join(one.reasons[:MOST_REASONS]) + (f" and {others} more" if others > 0 else "")
+        reasons = "; ".join(one.reasons[:MOST_REASONS]) + (f"; and {others} more" if others > 0 else "")
         ranked = ["–" if one.figure is None else number(one.figure, 4)] if by else []
         rows.append((str(k), *sizes, *ranked, angle, Span(reasons) if one.reasons else good("usable")))
     columns = [">", *(f">{name}" for name in names), *([f">{by}"] if by else []), ">angle", "usable, or why not"]
@@ -549,7 +549,7 @@ def exact_solutions(outcome: SynthesisResult) -> TableSpec | None:
     notes = [f"sizes in {units}; transmission angle from 0 or 180 deg: least over the motion if usable, else at the targets"]
     notes += [f"{name}: {words}" for name, words in DEFECTS.items() if any(name in one.reasons for one in found.solutions)]
     if more := len(found.solutions) - len(rows):
-        notes.append(f"{more} more are in --json")
+        notes.append(f"{count_noun(more, 'more is', 'more are')} in --json")
     title = "The best exact solutions" if found.special else "All exact solutions"
     return table(title, columns, rows, notes=map(quiet, notes))
 

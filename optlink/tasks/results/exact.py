@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from optlink.problem.document import Number
+from optlink.units import count_noun
 
 DEFECTS = {
     "circuit": "the positions lie on two circuits, between which the linkage must be taken apart",
@@ -88,9 +89,9 @@ class ExactSolutions:
         missing = "" if self.complete else f", {self.roots - self.certified - self.complex} not found or not separated"
         sliders = f", {self.sliders} of them a slider or of no length" if self.sliders else ""
         count = len(self.solutions)
-        found = f"{count} {self.linkage}{'s' * (count != 1)}, {self.usable} usable" if count else f"no {self.linkage}"
+        found = f"{count_noun(count, self.linkage)}, {self.usable} usable" if count else f"no {self.linkage}"
         if self.either and count:
-            found = f"{count // 2} four-bar{'s' * (count > 2)}, {count} with either link as the crank, {self.usable} usable"
+            found = f"{count_noun(count // 2, 'four-bar')}, {count} with either link as the crank, {self.usable} usable"
         return f"{self.task}: {roots}{missing}{sliders}; {found}{self._others}{note}"
 
     @property
@@ -102,9 +103,9 @@ class ExactSolutions:
     @property
     def _others(self) -> str:
         """How many solutions have each reason, with the most frequent ones."""
-        listed = ", ".join(f"{cause} {count}" for cause, count in [*self.reasons.items()][:MOST_CAUSES])
+        listed = ", ".join(f"{count} × {cause}" for cause, count in [*self.reasons.items()][:MOST_CAUSES])
         left = len(self.reasons) - MOST_CAUSES
-        more = f" and {left} more reasons" if left > 0 else ""
+        more = f" and {count_noun(left, 'more reason')}" if left > 0 else ""
         return f"; reasons of the others: {listed}{more}" if listed else ""
 
 
