@@ -7,6 +7,7 @@ import itertools
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,8 +16,10 @@ from optlink.presentation import chart_mpl
 from optlink.presentation.html.page import page, write_page
 from optlink.presentation.html.study_page import abridged
 from optlink.presentation.interface import page_content
+from optlink.presentation.views.conclusions import _compared
 from optlink.presentation.views.search_tables import limits
 from optlink.problem.templates import template
+from optlink.tasks.results.design import TermFigure
 from optlink.validation import Check
 from tests.browser import console, faults, opened
 from tests.cli.test_cli import run
@@ -93,6 +96,30 @@ def test_a_short_page_has_no_words_of_the_search(source):
     told = text_of(short(source))
     assert not SEARCH.search(told)
     assert "linkage" in told.partition("Dimensions")[0]
+
+
+def test_a_margin_that_four_digits_do_not_show_is_none_unless_the_limit_is_missed():
+    """A customer read 1.000008 with a margin of 8.4e-06."""
+    ratio = [
+        Check("time ratio, least", True, 1.0000084, ">= 1", ""),
+        Check("time ratio, largest", True, 1.0000084, "<= 1.01", ""),
+    ]
+    missed = Check("smallest transmission angle", False, 44.9999, ">= 45", "deg")
+    (table,) = limits([*ratio, missed], 10)
+    assert [[cell.text for cell in row] for row in table.rows] == [
+        ["smallest transmission angle", "44.9999 deg", ">= 45 deg", "0.0001 deg short"],
+        ["time ratio", "1", "1 ... 1.01", "none"],
+    ]
+
+
+def test_a_short_page_does_not_speak_of_the_initial_design():
+    result = SimpleNamespace(
+        whole=SimpleNamespace(required=[]),
+        initial=SimpleNamespace(valid=False),
+        figures=[TermFigure("objective", "peak torque", 264.0, 211.3, "minimised", "N*m")],
+    )
+    assert _compared(result, False) == "Peak torque 211.3 N·m."
+    assert "initial design" in _compared(result, True)
 
 
 def test_the_sentence_of_a_short_page_states_the_swing():

@@ -66,7 +66,7 @@ LINES = 25
 """Lines that the short text of a valid design has at most, 80 characters wide."""
 MAX_DIMENSIONS = 8  # rows of a design; a longer one is written as text
 MAX_LIMITS = 4  # rows of the active limits
-EXACT = 1e-6  # margin of a limit, relative to its bound, up to which the design is at it
+EXACT, NARROW = 1e-4, 1e-2  # margins of a limit, relative to bound and range, up to which a design that meets it is at it
 SENSES = ("minimised", "maximised")  # remarks on what is optimised beside other demands
 DETAILS = "--details shows the rest"
 
@@ -487,7 +487,7 @@ def limits(selected: Sequence[Check], most: int) -> list[TableSpec]:
     rated: list[tuple[bool, float, Row]] = []
     for one in requirements(selected):
         gap, size = abs(one.margin), max((abs(end) for end in (one.low, one.high) if math.isfinite(end)), default=0.0) or 1.0
-        value, exact = one.low == one.high, gap <= EXACT * size
+        value, exact = one.low == one.high, one.met and gap <= min(EXACT * size, NARROW * (one.high - one.low))
         words = f"{number(gap, 3)} {one.unit}{'' if one.met else ' short'}"
         if one.met and (value or exact):
             words = "met" if value else "none"
