@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import base64
 import itertools
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import optlink
@@ -17,6 +19,8 @@ from optlink.presentation.html.page import page, write_page
 from optlink.presentation.html.study_page import abridged
 from optlink.presentation.interface import page_content
 from optlink.presentation.views.conclusions import _compared
+from optlink.presentation.views.design_charts import output
+from optlink.presentation.views.design_view import DesignView
 from optlink.presentation.views.search_tables import limits
 from optlink.problem.templates import template
 from optlink.tasks.results.design import TermFigure
@@ -183,3 +187,24 @@ def test_the_command_and_the_function_write_the_same_short_page(tmp_path):
     assert done.exit_code == 0, done.stderr
     assert (tmp_path / "a.html").read_text() == (tmp_path / "b.html").read_text()
     assert 'class="brief"' in (tmp_path / "a.html").read_text()
+
+
+@pytest.mark.slow
+def test_the_short_page_of_a_swing_has_the_curve_of_the_lever_with_its_extremes():
+    mechanism = {"crank": "21 mm", "coupler": "249 mm", "rocker": "30 mm", "frame": "250 mm", "type": "four-bar"}
+    raw = {
+        "title": "A lever",
+        "mechanism": {**mechanism, "rocker": {"bounds": ["20 mm", "40 mm"]}, "assembly": "left"},
+        "requirement": {"kind": "transmission"},
+    }
+    result = optlink.validate(optlink.read(raw), {"rocker": 0.03})
+    (chart,) = output(DesignView(result.best))
+    angle = chart.panels[0].traces[0].y
+
+    def at_dead_centre(diagonal):  # the law of cosines in the triangle A, C, D, with the crank in line with the coupler
+        return 180.0 - math.degrees(math.acos((30.0**2 + 250.0**2 - diagonal**2) / (2.0 * 30.0 * 250.0)))
+
+    ends = sorted(at_dead_centre(249.0 + turn * 21.0) for turn in (1.0, -1.0))
+    assert [np.min(angle), np.max(angle)] == pytest.approx(ends, abs=0.01)
+    assert chart.brief
+    assert "Angle of rocker" in text_of(page(page_content(result, {}), brief=True))
