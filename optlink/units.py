@@ -449,3 +449,8 @@ def percent(share: float, decimals: int = 1, *, signed: bool = False) -> str:
         return "-"
     shown = f"{100.0 * share:{'+' if signed else ''}z.{decimals}f}"
     return f"{shown if float(shown) else shown.removeprefix('+')} %"
+
+
+def count_noun(count: int, noun: str, plural: str = "") -> str:
+    """Write a number with its noun: "1 point", "1,200 points"; the plural has an s at its end, or is given."""
+    return f"{count:,} {noun if count == 1 else plural or f'{noun}s'}"

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import assume, example, given, strategies as st
 
 from optlink import units
-from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor, parse, percent, plain, show
+from optlink.units import DEFINITIONS, KINDS, UnitProblem, count_noun, factor, parse, percent, plain, show
 from tests.tiers import examples
 
 seeded = examples(200)
@@ -457,3 +457,9 @@ def test_any_text_is_a_quantity_or_a_unit_problem(text, kind):
 )
 def test_a_share_has_a_space_before_its_sign(share, options, text):
     assert percent(share, **options) == text
+
+
+def test_a_counted_noun_is_singular_for_one_alone():
+    assert [count_noun(n, "point") for n in (0, 1, 2, 1200)] == ["0 points", "1 point", "2 points", "1,200 points"]
+    assert count_noun(1, "box is", "boxes are") == "1 box is"
+    assert count_noun(3, "box is", "boxes are") == "3 boxes are"

@@ -35,6 +35,7 @@ from optlink.cli.options import (
 )
 from optlink.errors import InputError
 from optlink.execution import interrupts
+from optlink.units import count_noun
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
@@ -180,7 +181,10 @@ def _rows_done(begun: Mapping[str, Any], revolutions: int, out: Path | None) -> 
 
     result = {} if out is None else earlier_result(out)
     if result.get("valid") and (result.get("figures") or {}).get("revolutions") == revolutions == begun.get("revolutions"):
-        message, remedy = f"{revolutions} revolutions are already complete", "Request more, or leave out --resume"
+        message, remedy = (
+            f"{count_noun(revolutions, 'revolution is', 'revolutions are')} already complete",
+            "Request more, or leave out --resume",
+        )
         raise InputError(message, remedy, key="--revolutions", value=revolutions)
     return min(int(begun.get("revolutions", 0)), revolutions - 1) * int(begun.get("points", 0))
 

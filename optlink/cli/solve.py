@@ -31,6 +31,7 @@ from optlink.cli.options import (
     share_number,
 )
 from optlink.errors import InputError
+from optlink.units import count_noun
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
@@ -230,7 +231,7 @@ def _interrupted(result: DesignResult) -> str:
         return f"the design is complete, the proof that it is the global optimum is {complete}: {finding}"
     if "certify" in result.seconds:
         return "the design is complete, the proof that it is the global optimum had not begun"
-    return f"the result is that of the first {result.starts} starts"
+    return f"the result is that of the first {count_noun(result.starts, 'start')}"
 
 
 def analyze(

@@ -18,6 +18,7 @@ from optlink.linkage.dyads import FORWARD, RPR, LineDyad, ModalDyad, Transmittin
 from optlink.linkage.elements import Drive, Element, key_of
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism, owners_of
 from optlink.linkage.trains import Single, Train
+from optlink.units import count_noun
 from optlink.unsupported import unsupported
 
 _SIDE = re.compile(r"\s*(left|right)\s+of\s+(\S+)\s*(?:->|-|–|→|to)\s*(\S+)\s*", re.ASCII)
@@ -310,7 +311,7 @@ class Assembly:
         free = 3 * len(self.bodies) - 2 * joint_count  # degrees of freedom, by Gruebler's formula
         driven = sum(drive.kind != "length" for drive in self.drives) + bool(self.driver) + len(self.couplings)
         by = "one driver" if self.driver and not self.couplings else f"{driven} of them are driven or coupled"
-        freedom = f"{free} degree{'s' * (free != 1)} of freedom"
+        freedom = count_noun(free, "degree of freedom", "degrees of freedom")
         if free > driven:
             ends = (point for body in left for point in (self.bodies[body].start, self.bodies[body].end))
             unshared = [point for point in ends if point and len(self.members[point]) == 1]

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, NamedTuple
 
-from optlink.units import percent
+from optlink.units import count_noun, percent
 from optlink.validation.check import KEY, LIMIT, Check
 
 if TYPE_CHECKING:
@@ -107,11 +107,6 @@ def round_below(value: float, steps: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0,
         return 0.0
     power = 10.0 ** math.floor(math.log10(value))
     return max(step * power for step in steps if step * power <= value * (1.0 + room))
-
-
-def points(count: int) -> str:
-    """Format a number of points, with its noun."""
-    return f"{count:,} point{'' if count == 1 else 's'}"
 
 
 def times(seconds: Mapping[str, float], decimals: int = 0) -> str:
@@ -273,7 +268,7 @@ def causes(checks: Sequence[Check]) -> list[str]:
 def why_invalid(checks: Sequence[Check], otherwise: str) -> str:
     """Return the first cause why a design is not valid, and the number of others; `otherwise` if every check passed."""
     first, *others = causes(checks) or [otherwise]
-    more = f"; {len(others)} more check{'s fail' if len(others) > 1 else ' fails'}" if others else ""
+    more = f"; {count_noun(len(others), 'more check fails', 'more checks fail')}" if others else ""
     return f"{first}{more}"
 
 

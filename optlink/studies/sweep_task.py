@@ -30,6 +30,7 @@ from optlink.tasks.analyze import Analysis, analyze, analyze_batch, batch_extrem
 from optlink.tasks.clearance import check_simulations, simulate_clearance
 from optlink.tasks.machine import crank_speed, machine_of
 from optlink.tasks.simulate import simulate
+from optlink.units import count_noun
 from optlink.version import VERSION
 
 OPTIMISE = "optimise"  # mode of a sweep that optimises at every point
@@ -304,7 +305,7 @@ def _unsound(analysis: Analysis) -> str:
         (analysis.undefined, "a load has no finite value"),
     ):
         if angles.size:
-            more = f" and {angles.size - 1} more positions" if angles.size > 1 else ""
+            more = f" and {count_noun(angles.size - 1, 'more position')}" if angles.size > 1 else ""
             return f"{what} at crank angle {math.degrees(float(angles[0])):.6g} deg{more}"
     return "`optlink analyze` with --set at this point gives the reason"
 

@@ -57,6 +57,7 @@ from optlink.tasks.machine import (
     with_flywheel,
 )
 from optlink.tasks.results.clearance import RUNNING_IN, ClearanceCheckpoint, ClearanceSimulation, RevolutionState, read_checkpoint
+from optlink.units import count_noun
 
 EVERY = 5.0
 """Seconds between checkpoints."""
@@ -250,7 +251,10 @@ def simulate_clearance(
         begun = read_checkpoint(ClearanceCheckpoint, resume, options)
         state = begun.state_for(revolutions)
         if state is None:
-            message, remedy = f"{begun.revolutions} revolutions are already complete", "Request more, or leave out --resume"
+            message, remedy = (
+                f"{count_noun(begun.revolutions, 'revolution is', 'revolutions are')} already complete",
+                "Request more, or leave out --resume",
+            )
             raise InputError(message, remedy, key="revolutions", value=revolutions)
         closed_loop.restore(state.closed_loop)
         account.restore(state.statistics)

@@ -45,6 +45,7 @@ from optlink.tasks.search import (
     no_stroke,
     validated_design,
 )
+from optlink.units import count_noun
 from optlink.validation import validate as validate_design
 from optlink.validation.design import deviations
 from optlink.validation.timing import passing
@@ -247,7 +248,8 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
         yield from quick_stroke_notes(best.problem, best.cycle.machine, best.cycle.speed)
     if rounds.exploration.rounds and coverage.missed > MISSED_CHANCE:
         count = rounds.starts
-        yield f"{INCOMPLETE}: {count} starts, {coverage.chance}; search with {min(4 * count, SynthesisTask.most_starts)} starts"
+        more = min(4 * count, SynthesisTask.most_starts)
+        yield f"{INCOMPLETE}: {count_noun(count, 'start')}, {coverage.chance}; search with {more} starts"
 
 
 def _notes_on_sampling(rounds: SearchRounds, best: LinkageDesign) -> Iterator[str]:
@@ -604,7 +606,7 @@ class SearchRounds:
     def _enough(self, exact: int) -> bool:
         """Return whether to stop; `exact` is the number of exact designs before the latest round."""
         if self.options.starts:
-            self.ended = f"it had the {self.starts} starts asked for" if self.starts >= self.options.starts else ""
+            self.ended = f"it had the {count_noun(self.starts, 'start')} asked for" if self.starts >= self.options.starts else ""
         else:
             self.ended = self._ended(exact)
         return bool(self.ended)
@@ -615,7 +617,7 @@ class SearchRounds:
         if self.exact_solutions is not None and self.exact_solutions.complete and collection.exact > 0:
             return "they are all exact ones within the limits"
         if rounds >= self._most or self._met:
-            return f"it had all {self.starts} starts that it may have"
+            return f"it had all {count_noun(self.starts, 'start')} that it may have"
         if collection.exact:
             if collection.exact >= self.options.designs:
                 return "they are as many as asked for"
@@ -628,7 +630,7 @@ class SearchRounds:
         if not collection.designs and collection.beyond_tolerances(self.exploration.candidates) <= MISSED_CHANCE:
             return "a design within the tolerances is unlikely"
         unlikely = collection.evidence().missed <= MISSED_CHANCE * collection.in_order
-        return f"a better design than those of its {self.starts} starts is unlikely" if unlikely else ""
+        return f"a better design than those of its {count_noun(self.starts, 'start')} is unlikely" if unlikely else ""
 
 
 def has_first_steps(task: DesignProblem) -> bool:

@@ -37,6 +37,7 @@ from optlink.tasks.five_targets import (
 )
 from optlink.tasks.results.design import SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolutions
+from optlink.units import count_noun
 
 MOST = 400  # dyads that are drivers and followers of all pairs
 APART = 0.04  # least distance of listed pairs along one of the curves, as a share of the dyads
@@ -185,7 +186,7 @@ class FourTargets(FiveTargets):
         inside = passing & self._inside(found)
         closing = np.isfinite(found.joint[..., 0]) & np.isfinite(found.pin[..., 0])
         count = int(np.sum(closing))
-        curve = f"{self.curves.count} closed curve{'s' * (self.curves.count > 1)}" if self.curves.count else "a line"
+        curve = count_noun(self.curves.count, "closed curve") if self.curves.count else "a line"
         shares = {name: np.sum((every.defect == k) & closing) for k, name in enumerate(DEFECTS) if name}
         shares["crank does not turn"] = np.sum((every.defect == 0) & ~turning)
         reasons = ", ".join(f"{name} {share / count:z.0%}" for name, share in shares.items() if share >= 0.005 * count)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import base64
 import itertools
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import optlink
@@ -15,8 +18,12 @@ from optlink.presentation import chart_mpl
 from optlink.presentation.html.page import page, write_page
 from optlink.presentation.html.study_page import abridged
 from optlink.presentation.interface import page_content
+from optlink.presentation.views.conclusions import _compared
+from optlink.presentation.views.design_charts import output
+from optlink.presentation.views.design_view import DesignView
 from optlink.presentation.views.search_tables import limits
 from optlink.problem.templates import template
+from optlink.tasks.results.design import TermFigure
 from optlink.validation import Check
 from tests.browser import console, faults, opened
 from tests.cli.test_cli import run
@@ -102,6 +109,30 @@ def test_a_short_page_has_no_words_of_the_search(source):
     assert "linkage" in told.partition("Dimensions")[0]
 
 
+def test_a_margin_that_four_digits_do_not_show_is_none_unless_the_limit_is_missed():
+    """A customer read 1.000008 with a margin of 8.4e-06."""
+    ratio = [
+        Check("time ratio, least", True, 1.0000084, ">= 1", ""),
+        Check("time ratio, largest", True, 1.0000084, "<= 1.01", ""),
+    ]
+    missed = Check("smallest transmission angle", False, 44.9999, ">= 45", "deg")
+    (table,) = limits([*ratio, missed], 10)
+    assert [[cell.text for cell in row] for row in table.rows] == [
+        ["smallest transmission angle", "44.9999 deg", ">= 45 deg", "0.0001 deg short"],
+        ["time ratio", "1", "1 ... 1.01", "none"],
+    ]
+
+
+def test_a_short_page_does_not_speak_of_the_initial_design():
+    result = SimpleNamespace(
+        whole=SimpleNamespace(required=[]),
+        initial=SimpleNamespace(valid=False),
+        figures=[TermFigure("objective", "peak torque", 264.0, 211.3, "minimised", "N*m")],
+    )
+    assert _compared(result, False) == "Peak torque 211.3 N·m."
+    assert "initial design" in _compared(result, True)
+
+
 def test_the_sentence_of_a_short_page_states_the_swing():
     problem = {"limits.swing_angle": "90 deg +- 0.5 deg", "limits.time_ratio": [1, 1.01]}
     result = optlink.solve(optlink.read(template("wiper").text, "wiper").override(problem), starts=1, certify=False)
@@ -163,3 +194,24 @@ def test_the_command_and_the_function_write_the_same_short_page(tmp_path):
     assert done.exit_code == 0, done.stderr
     assert (tmp_path / "a.html").read_text() == (tmp_path / "b.html").read_text()
     assert 'class="brief"' in (tmp_path / "a.html").read_text()
+
+
+@pytest.mark.slow
+def test_the_short_page_of_a_swing_has_the_curve_of_the_lever_with_its_extremes():
+    mechanism = {"crank": "21 mm", "coupler": "249 mm", "rocker": "30 mm", "frame": "250 mm", "type": "four-bar"}
+    raw = {
+        "title": "A lever",
+        "mechanism": {**mechanism, "rocker": {"bounds": ["20 mm", "40 mm"]}, "assembly": "left"},
+        "requirement": {"kind": "transmission"},
+    }
+    result = optlink.validate(optlink.read(raw), {"rocker": 0.03})
+    (chart,) = output(DesignView(result.best))
+    angle = chart.panels[0].traces[0].y
+
+    def at_dead_centre(diagonal):  # the law of cosines in the triangle A, C, D, with the crank in line with the coupler
+        return 180.0 - math.degrees(math.acos((30.0**2 + 250.0**2 - diagonal**2) / (2.0 * 30.0 * 250.0)))
+
+    ends = sorted(at_dead_centre(249.0 + turn * 21.0) for turn in (1.0, -1.0))
+    assert [np.min(angle), np.max(angle)] == pytest.approx(ends, abs=0.01)
+    assert chart.brief
+    assert "Angle of rocker" in text_of(page(page_content(result, {}), brief=True))

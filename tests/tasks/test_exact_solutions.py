@@ -51,7 +51,7 @@ def test_six_four_bars_without_a_usable_one_have_their_defects():
     assert conclusions.design(result, ()) == "None of the 12 four-bars that meet the targets exactly is usable."
     counts = {name: sum(name in one.reasons for one in found.solutions) for name in ("branch", "circuit", "order")}
     assert counts == found.reasons
-    told = ", ".join(f"{name} {count}" for name, count in found.reasons.items())
+    told = ", ".join(f"{count} × {name}" for name, count in found.reasons.items())
     assert f"6 four-bars, 12 with either link as the crank, 0 usable; reasons of the others: {told}" in result.notes[0]
 
 

@@ -21,6 +21,7 @@ from optlink.presentation.views import analysis_charts, conclusions, sensitivity
 from optlink.presentation.views.analysis_charts import CycleCurves
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.analyze import Analysis
+from optlink.units import count_noun
 
 
 def write_page(model: ReportModel | StoredStudy, path: Path, *, brief: bool = False) -> None:
@@ -171,5 +172,5 @@ def _method(model: ReportModel) -> str:
         return "exact solutions of equations; verified by an independent sweep of the kinematics"
     if outcome.backend == "none":
         return "check of a given design; nothing was optimised"
-    starts = f"{outcome.starts} start{'s' * (outcome.starts != 1)}, seed {outcome.seed}"
+    starts = f"{count_noun(outcome.starts, 'start')}, seed {outcome.seed}"
     return f"{outcome.backend}, {starts}; verified by an independent sweep of the kinematics"

@@ -53,7 +53,7 @@ from optlink.problem.file import ProblemFile, fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.terms import Term
 from optlink.tasks.results.balance import Balance, TradeOff, column_of
-from optlink.units import percent
+from optlink.units import count_noun, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -319,7 +319,8 @@ def overview(outcome: Balance) -> Summary:
             parts.append(_trade(outcome.trade))
         measured = objective_line(replace(objective, rows=objective.rows[:2]))
         short = short_text(title, [*status, measured], _in_words(added), limits)
-    effort = f"{outcome.solver}, {outcome.iterations} iterations, {len(outcome.angles)} positions; {times(outcome.seconds)}"
+    counts = f"{count_noun(outcome.iterations, 'iteration')}, {count_noun(len(outcome.angles), 'position')}"
+    effort = f"{outcome.solver}, {counts}; {times(outcome.seconds)}"
     return replace(summary(title, status, *parts, Paragraph(quiet(effort), appendix=True)), short=short)
 
 

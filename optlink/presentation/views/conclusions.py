@@ -25,16 +25,16 @@ def design(outcome: SynthesisResult, limits: Iterable[LimitState]) -> str:
     if best is None or outcome.conflict:
         return _sentences(achieved(outcome), certified)
     if outcome.valid:
-        return _sentences(achieved(outcome), _limiting(limits), certified)
-    return f"Not valid: {why_invalid(best.validation.checks, best.status.text)}. {achieved(outcome)}"
+        return _sentences(achieved(outcome, beside_initial=True), _limiting(limits), certified)
+    return f"Not valid: {why_invalid(best.validation.checks, best.status.text)}. {achieved(outcome, beside_initial=True)}"
 
 
-def achieved(outcome: SynthesisResult) -> str:
-    """Return what a design achieves, or why there is none."""
+def achieved(outcome: SynthesisResult, *, beside_initial: bool = False) -> str:
+    """Return what a design achieves, or why there is none; of a machine also `beside_initial`, the initial design."""
     best = outcome.best
     if best is None or outcome.conflict:
         return shown(outcome.refuted) or none_usable(outcome)
-    return _compared(best) if best.whole.of_cycle else _sentences(_optimised(best), sentence(best))
+    return _compared(best, beside_initial) if best.whole.of_cycle else _sentences(_optimised(best), sentence(best))
 
 
 def none_usable(outcome: SynthesisResult) -> str:
@@ -60,19 +60,19 @@ def _goals(outcome: LinkageDesign) -> list[TermFigure]:
     return [goal for goal in outcome.figures if goal.limit in ("minimised", "maximised")]
 
 
-def _compared(outcome: LinkageDesign) -> str:
-    """Return the objective of a machine, compared with that of the initial one, and what is required of it."""
+def _compared(outcome: LinkageDesign, beside_initial: bool) -> str:
+    """Return the objective of a machine, if asked compared with that of the initial one, and what is required of it."""
     stroke, initial = [bound.name for bound in outcome.whole.required], outcome.initial
     goals = _goals(outcome) or outcome.figures[:1]
     words, feasible = [], initial is not None and initial.valid
     for goal in goals:
-        compared = goal.initial and math.isfinite(goal.initial) and (not stroke or feasible)
+        compared = beside_initial and goal.initial and math.isfinite(goal.initial) and (not stroke or feasible)
         change = goal.result / goal.initial - 1.0 if compared else math.nan
         before = f" instead of {figure(goal.initial, goal.unit)} ({100.0 * change:+z.1f} %)" if math.isfinite(change) else ""
         words.append(f"{goal.words} {figure(goal.result, goal.unit)}{before.replace('-', '−')}")
     words += [f"{goal.words} {figure(goal.result, goal.unit)}" for goal in outcome.figures if goal.name in stroke]
     text = joined(words)
-    unfair = "" if stroke or feasible else "; the initial design does not meet the limits"
+    unfair = "" if stroke or feasible or not beside_initial else "; the initial design does not meet the limits"
     return f"{text[:1].upper()}{text[1:]}{unfair}."
 
 

@@ -29,7 +29,7 @@ from optlink.presentation.table_spec import Inline, Paragraph, Row, Summary, bad
 from optlink.presentation.view import PageSection, StoredStudy, View
 from optlink.presentation.views.revolutions import FULL, RevolutionCurves, fold
 from optlink.tasks.results.clearance import ClearanceSimulation, Comparison, Tuning
-from optlink.units import DISPLAYED, percent
+from optlink.units import DISPLAYED, count_noun, percent
 
 
 def charts(comparison: Comparison) -> list[ChartSpec]:
@@ -123,7 +123,7 @@ def trials(comparison: Comparison) -> ChartSpec:
     y = Axis("", (0.4, len(kinds) + 0.6), reversed=True, ticks=[(float(k), _kind(name)) for k, name in enumerate(kinds, 1)])
     furthest = max(np.max(curve.x) for curve in curves)
     x = Axis(f"deviation [{shown.unit}]", (0.0, 1.05 * furthest))
-    count = f"{comparison.revolutions} revolutions from each of {len(comparison.starts)} starts"
+    count = f"{_revolutions(comparison)} from each of {count_noun(len(comparison.starts), 'start')}"
     heading = f"{comparison.problem.model.title}: kinds of control\n{count}"
     panel = Panel(y, curves, 0.27 * len(kinds) + 0.3)
     return ChartSpec("trials", f"Deviation under each kind of control, {count}", [panel], x, heading, cursor=False)
@@ -148,7 +148,7 @@ def page(comparison: Comparison) -> StoredStudy:
 
 
 def _revolutions(outcome: Comparison | Tuning) -> str:
-    return "1 revolution" if outcome.revolutions == 1 else f"{outcome.revolutions} revolutions"
+    return count_noun(outcome.revolutions, "revolution")
 
 
 def overview(outcome: Comparison) -> Summary:

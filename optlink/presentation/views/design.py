@@ -22,6 +22,7 @@ from optlink.presentation.views.design_charts import (
     dots,
     errors,
     law,
+    output,
     output_film,
     points_on,
     small_frames,
@@ -101,7 +102,7 @@ PICTURES = {
     "path": POINTS,
     "motion": POINTS,
     "position": Pictures(lambda _: [], output_film),
-    "transmission": Pictures(lambda _: [], output_film),
+    "transmission": Pictures(output, output_film),
 }
 """Pictures by kind of requirement."""
 

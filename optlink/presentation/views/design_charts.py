@@ -392,6 +392,17 @@ def transmission(view: DesignView) -> list[ChartSpec]:
     return [ChartSpec("transmission", "Transmission angle", [panel], x, title, spans=spans, warning=warning, brief=True)]
 
 
+def output(view: DesignView) -> list[ChartSpec]:
+    """Return the angle of the output lever over the whole motion, on pages alone; nothing without a lever."""
+    if view.output is None or view.slides:
+        return []
+    angle = np.degrees(np.unwrap(np.asarray(view.motion.body_angle(view.output).value, dtype=float)))
+    crank = view.crank(view.motion.crank_angle)
+    name = f"{view.output}: {np.nanmin(angle):z.2f}° to {np.nanmax(angle):z.2f}°"
+    panel = Panel(Axis(f"angle of {view.output} [deg]"), [Curve(crank, angle, name, BODIES[1], 1.9, gid="output")])
+    return [ChartSpec("", f"Angle of {view.output}", [panel], _crank(view, crank), brief=True)]
+
+
 def _crank(view: DesignView, crank: Array) -> Axis:
     return crank_angle(clockwise=view.direction < 0.0, limits=(float(np.min(crank)), float(np.max(crank))))
 

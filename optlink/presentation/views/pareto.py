@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from optlink.presentation.chart_spec import LIMIT, MUTED, RESULT, TARGET, Array, Axis, ChartSpec, Curve, Mark, Panel, Picks
-from optlink.presentation.format import change, figure, joined, number, points, pretty
+from optlink.presentation.format import change, figure, joined, number, pretty
 from optlink.presentation.table_spec import (
     Inline,
     Line,
@@ -27,6 +27,7 @@ from optlink.presentation.view import PageSection, StoredStudy, View
 from optlink.problem.file import ProblemFile
 from optlink.studies.fronts.design_objectives import ParetoObjective
 from optlink.studies.fronts.epsilon_constraint import Pareto, ParetoPoint
+from optlink.units import count_noun
 
 RATIO_ABOVE = 3.0  # ratio above which a change is not given in per cent
 MAX_POINTS = 24  # largest number of listed points, besides the end points and the knee
@@ -161,7 +162,7 @@ def overview(result: Pareto) -> Summary:
         return summary(title, _status(result))
     rate = f"; {1e3 * result.cpu / result.done:z.0f} ms of processor time each" if result.done else ""
     knee = "knee by the distance from the chord of the ends (Das 1999)"
-    effort = Paragraph(quiet(f"{points(result.done)} done in {result.seconds:z.1f} s{rate}; {knee}"), appendix=True)
+    effort = Paragraph(quiet(f"{count_noun(result.done, 'point')} done in {result.seconds:z.1f} s{rate}; {knee}"), appendix=True)
     return summary(title, _status(result), _points(result), _designs(result), effort)
 
 
@@ -172,7 +173,7 @@ def _status(result: Pareto) -> Iterator[Line]:
     empty = f", {result.infeasible} without a feasible design" if result.infeasible else ""
     counted = f": {result.solved} solved, {result.dominated} dominated by others{empty}"
     left_out = bad(f", {missed} not verified and left out" if missed else "")
-    yield f"{points(len(result.points))}, ", good("each a verified local optimum"), counted, left_out
+    yield f"{count_noun(len(result.points), 'point')}, ", good("each a verified local optimum"), counted, left_out
     if result.single_point:
         yield result.single_point
     elif result.points and result.knee is None:

@@ -11,6 +11,7 @@ from optlink.linkage.vector2d import TURN
 from optlink.presentation.chart_spec import MUTED, RESULT, SHADE, Array, Axis, Curve, Line, Span, crank_angle
 from optlink.presentation.format import Scale, round_below, scale
 from optlink.tasks.results.clearance import ClearanceSimulation
+from optlink.units import count_noun
 
 Mask = NDArray[np.bool_]
 FULL = 360.0
@@ -139,7 +140,7 @@ class RevolutionCurves:
         if result.control != "none":
             parts.append(f"control {result.control}")
         if not result.valid:
-            parts.append(f"{result.ending.value} after {self.last} revolution{'s' if self.last != 1 else ''}")
+            parts.append(f"{result.ending.value} after {count_noun(self.last, 'revolution')}")
         return f"{result.problem.model.title}: {what}\n{', '.join([*parts, *filter(None, [more])])}"
 
     # --- the crank angle as abscissa -----------------------------------------------------------------------------------

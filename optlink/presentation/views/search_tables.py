@@ -50,7 +50,7 @@ from optlink.tasks.results.conflict import OpposedLimit, opposed_limits, outward
 from optlink.tasks.results.exact import BY_TRANSMISSION, DEFECTS
 from optlink.tasks.results.fit import Fit
 from optlink.tasks.results.rounding import Influence, Rounding
-from optlink.units import DISPLAYED, percent
+from optlink.units import DISPLAYED, count_noun, percent
 from optlink.validation import Check
 from optlink.validation.check import requirements
 
@@ -66,7 +66,7 @@ LINES = 25
 """Lines that the short text of a valid design has at most, 80 characters wide."""
 MAX_DIMENSIONS = 8  # rows of a design; a longer one is written as text
 MAX_LIMITS = 4  # rows of the active limits
-EXACT = 1e-6  # margin of a limit, relative to its bound, up to which the design is at it
+EXACT, NARROW = 1e-4, 1e-2  # margins of a limit, relative to bound and range, up to which a design that meets it is at it
 SENSES = ("minimised", "maximised")  # remarks on what is optimised beside other demands
 DETAILS = "--details shows the rest"
 
@@ -369,8 +369,8 @@ def reached(outcome: SynthesisResult, evidence: Evidence) -> str:
 def effort(outcome: SynthesisResult, hits: str = "") -> Paragraph:
     """Return what the search consisted of, and how long it took."""
     solution, words = outcome.solution, ["" if outcome.backend == "none" else outcome.backend]
-    words.append(f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else "")
-    words.append(f"{solution.iterations} iterations" if solution is not None and solution.iterations else "")
+    words.append(count_noun(outcome.starts, "start") if outcome.starts else "")
+    words.append(count_noun(solution.iterations, "iteration") if solution is not None and solution.iterations else "")
     texts = hits, ", ".join(filter(None, words)), times(outcome.seconds, 1)
     return Paragraph(quiet("; ".join(filter(None, texts))), appendix=True)
 
@@ -467,7 +467,7 @@ def checks(selected: Sequence[Check]) -> TableSpec:
         if item not in gathered
     ]
     if gathered:
-        rows.append((good("ok"), f"{len(gathered)} dimensions within bounds", "all", "", ""))
+        rows.append((good("ok"), f"{count_noun(len(gathered), 'dimension')} within bounds", "all", "", ""))
     title = f"Validation: {sum(check.passed for check in selected)} of {len(selected)} checks passed"
     return table(title, ["", "check", ">value", "", "limit"], rows, appendix=True)
 
@@ -480,7 +480,7 @@ def limits(selected: Sequence[Check], most: int) -> list[TableSpec]:
     rated: list[tuple[bool, float, Row]] = []
     for one in requirements(selected):
         gap, size = abs(one.margin), max((abs(end) for end in (one.low, one.high) if math.isfinite(end)), default=0.0) or 1.0
-        value, exact = one.low == one.high, gap <= EXACT * size
+        value, exact = one.low == one.high, one.met and gap <= min(EXACT * size, NARROW * (one.high - one.low))
         words = f"{number(gap, 3)} {one.unit}{'' if one.met else ' short'}"
         if one.met and (value or exact):
             words = "met" if value else "none"
@@ -536,7 +536,7 @@ def exact_solutions(outcome: SynthesisResult) -> TableSpec | None:
     for k, one in enumerate(found.solutions[:MOST_EXACT], start=1):
         sizes = [number(one.values[name] * model.display(name)[0], 4) for name in names]
         angle, others = fixed(math.degrees(one.transmission), 1), len(one.reasons) - MOST_REASONS
-        reasons = ", ".join(one.reasons[:MOST_REASONS]) + (f" and {others} more" if others > 0 else "")
+        reasons = "; ".join(one.reasons[:MOST_REASONS]) + (f"; and {others} more" if others > 0 else "")
         ranked = ["–" if one.figure is None else number(one.figure, 4)] if by else []
         ranked += ["–" if one.between is None else number(factor * one.between, 4)] if errs else []
         rows.append((str(k), *sizes, *ranked, angle, Span(reasons) if one.reasons else good("usable")))
@@ -553,7 +553,7 @@ def exact_solutions(outcome: SynthesisResult) -> TableSpec | None:
     notes += ["error: largest one over the whole range of the law"] if errs else []
     notes += [f"{name}: {words}" for name, words in DEFECTS.items() if any(name in one.reasons for one in found.solutions)]
     if more := len(found.solutions) - len(rows):
-        notes.append(f"{more} more are in --json")
+        notes.append(f"{count_noun(more, 'more is', 'more are')} in --json")
     title = "The best exact solutions" if found.special else "All exact solutions"
     return table(title, columns, rows, notes=map(quiet, notes))
 

@@ -34,7 +34,6 @@ from optlink.presentation.format import (
     figure,
     joined,
     number,
-    points,
     scale,
 )
 from optlink.presentation.shapes import even
@@ -55,6 +54,7 @@ from optlink.problem.file import ProblemFile
 from optlink.studies.grid import Axis, column_name
 from optlink.studies.sweep_task import FIGURES
 from optlink.studies.sweeps import CHANGED, COMPLETE, MAX_ROWS, TEXT, Sweep
+from optlink.units import count_noun
 
 MAX_LISTED = 12  # largest number of active-set changes and of points listed
 MAX_COLUMNS = 5  # largest number of quantities side by side
@@ -142,7 +142,7 @@ def page(result: Sweep) -> StoredStudy:
         counted = ", ".join(f"{count:,} {status}" for status, count in result.statuses.items()) or "analysed"
         by = f"{'simulation' if result.mode == 'simulate' else 'analysis'} of every point"
     else:
-        counted_points = f"{result.valid_points:,} points verified, {result.grid.count - result.valid_points:,} not"
+        counted_points = f"{count_noun(result.valid_points, 'point')} verified, {result.grid.count - result.valid_points:,} not"
         counted = "every point a verified local optimum" if result.status == COMPLETE else counted_points
         by = f"a local optimum at every point, verified by the validator; {searches(result)}"
     return StoredStudy(
@@ -423,7 +423,7 @@ def _extreme_charts(table: SweepTable) -> list[ChartSpec]:
 def overview(result: Sweep) -> Summary:
     """Summarise a parameter sweep."""
     every = " x ".join(f"{len(axis.values):,}" for axis in result.grid.axes)
-    counted = points(result.grid.count) + (f" ({every})" if len(result.grid.axes) > 1 else "")
+    counted = count_noun(result.grid.count, "point") + (f" ({every})" if len(result.grid.axes) > 1 else "")
     conflict = "Conflicting limits at a point without a design: `optlink solve` with --set at that point"
     status = [
         (f"{counted}, ", verdict(_point_counts(result), result.status == COMPLETE)),
@@ -432,7 +432,7 @@ def overview(result: Sweep) -> Summary:
     axes = []
     for axis in result.grid.axes:
         ends = dict.fromkeys(f"{end:g}" for end in (min(axis.values), max(axis.values)))
-        axes.append((axis.key, f"{' ... '.join(ends)} {axis.unit}".rstrip(), quiet(points(len(axis.values)))))
+        axes.append((axis.key, f"{' ... '.join(ends)} {axis.unit}".rstrip(), quiet(count_noun(len(axis.values), "point"))))
     parts = [table("Varied", "<<>", axes)]
     if result.best is not None:
         own = SweepTable.of(result)
@@ -448,7 +448,7 @@ def overview(result: Sweep) -> Summary:
     parts += _rows(result) if result.evaluated else []
     rate = result.points_done_now / result.seconds if result.seconds else 0.0
     pace = f"{rate:z,.0f}" if rate >= 10.0 else number(rate, 2)
-    line = f"{points(result.points_done_now)} done in {result.seconds:z.1f} s ({pace} a second"
+    line = f"{count_noun(result.points_done_now, 'point')} done in {result.seconds:z.1f} s ({pace} a second"
     line += (
         f"; {1e3 * result.processor_seconds / result.points_done_now:z.2f} ms of processor time each)"
         if result.points_done_now

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
 from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, below, check_keys, is_number, largest, nearest, read_scalar
-from optlink.units import KINDS, factor, plain, read_number, respelled, show
+from optlink.units import KINDS, count_noun, factor, plain, read_number, respelled, show
 
 MAX_POINTS = 400
 MAX_BYTES = 50_000_000
@@ -582,7 +582,7 @@ def check_and_reduce(rows: PointRows, requested_count: int | None) -> TargetPoin
         columns = {name: column[picked] for name, column in columns.items()}
         note = _reduced(rows, most, "rows")
     elif requested_count and number < requested_count:
-        note = f"{rows.file} has {number:,} points, fewer than the requested {requested_count}; all of them are used"
+        note = f"{rows.file} has {count_noun(number, 'point')}, fewer than the requested {requested_count}; all of them are used"
     crank, angles, weights, tolerances = (
         tuple(columns[name].tolist()) if name in columns else None for name in ("crank", "angle", "weight", "tolerance")
     )

@@ -233,7 +233,7 @@ def tolerance(
     tolerances = stated(problem, tolerances) if isinstance(tolerances, Mapping) else tolerances
     _check(samples, seed, shape, target_yield, limit)
     read_tolerances(problem, tolerances, shape)  # before a search
-    if output in (None, ERROR) and getattr(problem.model, "parts", ()):
+    if output in (None, ERROR) and getattr(problem.model, "parts", None):
         _limit(limit, problem.spec.parts[0].unit)
     sizes = check_design(problem, design)
     with _processes(samples, known_here(problem, execution)) as runs:

@@ -24,6 +24,7 @@ from optlink.problem.limits import limits_in_file
 from optlink.problem.quantity import Interval, quantity_key
 from optlink.problem.targets.law import Function, Law, SlideExpression, Table
 from optlink.solvers.global_search.lagrangian import TESTS
+from optlink.units import count_noun
 from optlink.version import VERSION
 
 GLOBAL, WITHIN_GAP, NOT_CLOSED, INFEASIBLE = "global", "within gap", "not closed", "infeasible"
@@ -175,7 +176,7 @@ class Certificate:
         if self.status == INFEASIBLE:
             return "proven: no design within the bounds meets all limits"
         if not math.isfinite(self.objective):
-            return f"not closed: no feasible design is known, {self.open_boxes:,} boxes are left"
+            return f"not closed: no feasible design is known, {count_noun(self.open_boxes, 'box is', 'boxes are')} left"
         if self.exact:
             return "globally optimal: the design is exact to rounding, and no design can be better"
         share = share_text(self.gap)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from optlink.problem.document import Number
+from optlink.units import count_noun
 
 DEFECTS = {
     "circuit": "the positions lie on two circuits, between which the linkage must be taken apart",
@@ -92,9 +93,9 @@ class ExactSolutions:
     @property
     def _others(self) -> str:
         """How many solutions have each reason, with the most frequent ones."""
-        listed = ", ".join(f"{cause} {count}" for cause, count in [*self.reasons.items()][:MOST_CAUSES])
+        listed = ", ".join(f"{count} × {cause}" for cause, count in [*self.reasons.items()][:MOST_CAUSES])
         left = len(self.reasons) - MOST_CAUSES
-        more = f" and {left} more reasons" if left > 0 else ""
+        more = f" and {count_noun(left, 'more reason')}" if left > 0 else ""
         return f"; reasons of the others: {listed}{more}" if listed else ""
 
 
@@ -109,9 +110,9 @@ def counts(found: ExactSolutions, others: str = "") -> str:
     missing = "" if found.complete else f", {found.roots - found.certified - found.complex} not found or not separated"
     sliders = f", {found.sliders} of them a slider or of no length" if found.sliders else ""
     count = len(found.solutions)
-    listed = f"{count} {found.linkage}{'s' * (count != 1)}, {found.usable} usable" if count else f"no {found.linkage}"
+    listed = f"{count_noun(count, found.linkage)}, {found.usable} usable" if count else f"no {found.linkage}"
     if found.either and count:
-        listed = f"{count // 2} four-bar{'s' * (count > 2)}, {count} with either link as the crank, {found.usable} usable"
+        listed = f"{count_noun(count // 2, 'four-bar')}, {count} with either link as the crank, {found.usable} usable"
     return f"{found.task}: {roots}{missing}{sliders}; {listed}{others}{note}"
 
 
