@@ -108,7 +108,7 @@ def font() -> bytes:
     found = importlib.util.find_spec("ziamath")
     assert found is not None
     assert found.origin is not None
-    whole = TTFont(Path(found.origin).parent / "fonts" / "STIXTwoMath-Regular.ttf")
+    whole = TTFont(Path(found.origin).parent / "fonts" / "STIXTwoMath-Regular.ttf", recalcTimestamp=False)
     subset = Subsetter(Options(layout_features=["ssty"], hinting=False, notdef_outline=True))
     subset.populate(unicodes=[*LETTERS, *ITALIC])
     subset.subset(whole)
