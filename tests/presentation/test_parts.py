@@ -373,15 +373,27 @@ def test_sizes_of_the_file_are_those_of_the_parts():
     assert wide.parts["crank"].openings[0].diameter == pytest.approx(9.0)
 
 
-@pytest.mark.parametrize(("stated", "beyond"), [({}, 3.0), ({"parts.overtravel": "7 mm"}, 7.0)])
-def test_a_block_becomes_a_pin_in_a_slot_of_its_travel(stated, beyond):
+@pytest.mark.parametrize(("stated", "beyond", "most"), [({}, 3.0, 3.5), ({"parts.overtravel": "7 mm"}, 7.0, 8.0)])
+def test_a_block_becomes_a_pin_in_a_slot_of_its_travel(stated, beyond, most):
     """The slot of a slider-crank is longer than the stroke, twice the crank of 100 mm, at each end; the block is no part."""
     made = part_set(of("slider-crank", stated).cycle)
     assert "slider" not in made.parts
     assert "Pin E stands for slider, which is no part, and runs in a slot of frame." in made.notes
     slot = next(one for one in made.parts["frame"].openings if np.ptp(one.ends, axis=0).max() > 0.0)
     assert np.sort(slot.ends[:, 0]) == pytest.approx([200.0 - beyond, 400.0 + beyond], abs=1e-6)
-    assert f"Slots are {beyond:g} mm longer than the travel at each end." in made.notes
+    assert f"Slots are {beyond:g} to {most:g} mm longer than the travel at each end." in made.notes
+
+
+def test_the_ends_of_a_slot_are_rounded_outwards():
+    """The ram of the shaper travels from -417.14 to 128.32 mm; the slot ends at whole millimetres, at least 5 mm beyond."""
+    about = of("shaper")
+    slot = next(one for one in part_set(about.cycle).parts["frame"].openings if np.ptp(one.ends, axis=0).max() > 0.0)
+    slid = 1e3 * optlink.linkage.sweep(
+        about.cycle.machine.mechanism, about.cycle.machine.sizes, np.linspace(0.0, 2.0 * np.pi, 2000)
+    ).position("E")
+    away = np.sort(slot.ends[:, 0]) - [slid[:, 0].min(), slid[:, 0].max()]
+    assert np.all((away * [-1.0, 1.0] >= 5.0 - 1e-3) & (away * [-1.0, 1.0] < 6.0))
+    assert np.sort(slot.ends[:, 0]) == pytest.approx([-423.0, 134.0], abs=1e-9)
 
 
 @pytest.mark.parametrize("name", mostly_slow(SHIPPED, "shaper", "whitworth", "slotted-quick-return", "oscillating-cylinder"))

@@ -17,7 +17,7 @@ from matplotlib.textpath import TextPath
 import optlink
 from optlink.errors import InputError
 from optlink.presentation.export.export import export
-from optlink.presentation.parts import sheet
+from optlink.presentation.parts import assembly, sheet
 from optlink.presentation.parts.layers import stacked
 from optlink.presentation.parts.model import part_set
 from optlink.presentation.report_model import ReportModel, report_model_of
@@ -26,8 +26,6 @@ from tests.presentation.test_parts import holes_of, of, written
 from tests.tiers import mostly_slow
 
 MACHINES = ("crank-rocker", "shaper", "slider-crank", "watt-i", "toggle-press", "slotted-quick-return", "two-wipers", "six-bar")
-HIDDEN = {"whitworth": "A"}
-"""Pins that other parts hide at the drawn angle."""
 UNSTACKED = ("function-sin", "whitworth", "path-closed18", "stephenson-iii")
 SIZES = {"A4": (297.0, 210.0), "A3": (420.0, 297.0)}
 STATED = re.compile(r"(\d+)  (\S+)   (\d+:\d+)")
@@ -272,7 +270,7 @@ def test_every_part_and_pin_is_listed_and_drawn(name, sheet_of):
     assert sum(int(row[1]) for row in listed if row[2].startswith("pin ")) == len(parts.pins)
     lengths = [" × " in row[3].partition(",")[0] for row in listed if row[2].startswith("pin ")]
     assert all(lengths) == any(lengths) == (name not in UNSTACKED[:3])
-    assert {pin.name for pin in parts.pins} - {*first.words} == set(HIDDEN.get(name, ""))  # letters at the pins that are seen
+    assert {pin.name for pin in parts.pins} - {*first.words} == set()  # letters at the pins: all are seen
     assert any(word.startswith("Strength is not considered.") for word in first.words)
     counted = [word for word in first.words if word.isdigit()]
     assert all(counted.count(row[0]) >= 2 for row in listed)
@@ -399,6 +397,21 @@ def test_a_place_where_a_linkage_does_not_close_is_not_drawn(tmp_path):
             written(about, tmp_path / "b.dxf", content=content, at=0.0)
 
 
-def test_an_assembly_is_drawn_where_its_parts_are_seen(tmp_path):
-    """At the start of the motion, rod and crank of a slider-crank cover the frame and each other."""
-    assert "assembly, crank angle 60 deg" in pages(written(of("slider-crank"), tmp_path / "a.dxf", content="sheet"))[0].words
+def test_an_assembly_is_drawn_where_its_parts_are_seen(tmp_path, monkeypatch):
+    """At the start of the motion, rod and crank of a slider-crank cover the frame and each other; a stated angle is taken."""
+    about = of("slider-crank")
+    words = pages(written(about, tmp_path / "a.dxf", content="sheet"))[0].words
+    assert not {"assembly, crank angle 0 deg", "assembly, crank angle 180 deg"} & {*words}
+    stated = pages(written(about, tmp_path / "b.dxf", content="sheet", at=0.0))[0].words
+    assert "assembly, crank angle 0 deg" in stated
+    assert "A" in words
+    monkeypatch.setattr(assembly, "_target", lambda one, things, grid=9: (1.0, one.core.mean(axis=0)))  # all are seen alike
+    assert "assembly, crank angle 0 deg" in pages(written(about, tmp_path / "c.dxf", content="sheet"))[0].words
+
+
+def test_a_frame_that_is_turned_on_its_sheet_says_so(tmp_path):
+    """The frame of a Stephenson III linkage is higher than wide in the assembly, that of a crank-rocker is level."""
+    words = {word for page in pages(written(of("stephenson-iii"), tmp_path / "a.dxf", content="sheet")) for word in page.words}
+    assert "turned by 90° clockwise from the assembly" in words
+    level = {word for page in pages(written(of("crank-rocker"), tmp_path / "b.dxf", content="sheet")) for word in page.words}
+    assert not any(word.startswith("turned") for word in level)

@@ -23,8 +23,8 @@ from optlink.tasks.analyze import MAX_POINTS, Analysis, analyze
 SCHEMA = "optlink/geometry/1"
 FORCES = ("_N", "_Nm", "_J", "_W")
 """Endings of columns that say nothing of a linkage without masses and loads."""
-SPREAD = 1.0 / 6.0
-"""Share of the motion after which an assembly is drawn: at its start, links often lie above each other."""
+SPREAD = 24
+"""Positions of the motion of which the assembly on a sheet is drawn at the clearest."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +99,19 @@ def contents_of(path: Path, content: str | None) -> Mapping[str, Callable[..., S
     return contents
 
 
-def place_of(cycle: Analysis, at: float | None, key: str = "--at", share: float = 0.0) -> float:
+def spread(cycle: Analysis) -> list[float]:
+    """Return some crank angles [rad] of the motion, at about equal steps of it, where the mechanism can be assembled."""
+    steps = np.linspace(cycle.positions[0], cycle.positions[-1], SPREAD, endpoint=False)
+    whole = np.clip(np.radians(np.round(np.degrees(steps))), cycle.positions.min(), cycle.positions.max())
+    return [at for at in map(float, whole) if not failure(cycle.machine.mechanism, cycle.machine.sizes, at)] or [
+        place_of(cycle, None)
+    ]
+
+
+def place_of(cycle: Analysis, at: float | None, key: str = "--at") -> float:
     """Return the crank angle [rad] of a position `at` in SI, where the mechanism can be assembled.
 
-    None: the first such position after a share of the motion.
+    None: the first such position of the motion.
 
     Raises
     ------
@@ -114,8 +123,7 @@ def place_of(cycle: Analysis, at: float | None, key: str = "--at", share: float 
         return failure(cycle.machine.mechanism, cycle.machine.sizes, angle)
 
     if at is None:
-        after = map(float, cycle.positions[round(share * (len(cycle.positions) - 1)) :])
-        return next(angle for angle in after if not failed(angle))
+        return next(angle for angle in map(float, cycle.positions) if not failed(angle))
     driving = cycle.problem.model.driving
     angle = at if driving.ends is None else driving.at(1e3 * at)
     if failed(angle) or not (cycle.full or cycle.ranges.holding(angle)):
@@ -219,13 +227,13 @@ def _sheet(model: ReportModel, cycle: Analysis, path: Path, options: Options) ->
     from optlink.presentation.parts.model import part_set
     from optlink.presentation.parts.sheet import sheets
 
-    at = place_of(cycle, options.at, share=SPREAD)
+    angles = spread(cycle) if options.at is None else [place_of(cycle, options.at)]
     problem = model.problem.model
     head = {"title": problem.title, **letterhead(model.problem)}
     head["title"] = head["title"] if model.valid else f"NOT VALID: {head['title']}"
-    position = sweep(cycle.machine.mechanism, cycle.machine.sizes, [at])
+    positions = sweep(cycle.machine.mechanism, cycle.machine.sizes, angles)
     parts = part_set(cycle, options.hole, options.width)
-    drawn, notes = sheets(parts, cycle, position, f"assembly, {problem.driving.text(at)}", head)
+    drawn, notes = sheets(parts, cycle, positions, [f"assembly, {problem.driving.text(at)}" for at in angles], head)
     with whole(path) as temporary:
         WRITERS[path.suffix.lower()](drawn, head["title"], temporary)
     return notes

@@ -65,7 +65,7 @@ def _placed(label: Label, items: Sequence[Item], outline: Line, openings: Sequen
     half = half + AROUND
     costs = np.linalg.norm(starts - tips, axis=1) + DOWN * (ways[:, 1] < 0.0) + BACK * (sides < 0.0)
     costs += SLANT * np.abs(np.abs(np.arcsin(ways[:, 1])) - STEEP) / (0.25 * TURN)
-    costs += _crossings(tips + 0.1 * ways, starts, pieces) @ crossed + _crossings(starts, shelf, pieces) @ crossed
+    costs += crossings(tips + 0.1 * ways, starts, pieces) @ crossed + crossings(starts, shelf, pieces) @ crossed
     costs += _overlaps(middles, half, pieces) @ covered
     costs += GROWTH * np.sum(np.maximum(0.0, low - middles + half) + np.maximum(0.0, middles + half - high), axis=1)
     corners = polygon(outline.vertices, chords=CHORDS)
@@ -108,7 +108,7 @@ def _pieces(items: Sequence[Item], outline: Line, openings: Sequence[Line]) -> t
     return np.array(found), np.array(crossed), np.array(covered)
 
 
-def _crossings(begin: Array, end: Array, pieces: Array) -> Array:
+def crossings(begin: Array, end: Array, pieces: Array) -> Array:
     """Return where lines (n, 2) to (n, 2) cross pieces (m, 2, 2): (n, m)."""
     first, last = pieces[:, 0], pieces[:, 1]
 

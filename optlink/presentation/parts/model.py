@@ -27,6 +27,7 @@ from optlink.tasks.analyze import Analysis
 MM = 1e3
 THICKNESS, SPACER = 0.75, 0.2  # default thickness of links and washers in hole diameters
 OVERTRAVEL = 0.25  # default length of a slot beyond the travel at each end in hole diameters
+WHOLE = 0.25  # about the step to which the ends of a slot are rounded outwards, in its length beyond the travel
 HEAD, HEAD_HEIGHT = 1.6, 0.6  # default diameter and height of a pin's head in pin diameters
 STEPS = 720  # positions per revolution at which slots, pins and distances are computed
 SAME = 1e-6  # distance of coincident points, as a share of the hole diameter
@@ -175,6 +176,7 @@ class _Maker:
         self.width = self._size(self.section.width, WIDTH * self.hole, width)
         self.thickness = self._share(self.section.thickness, THICKNESS)
         self.overtravel = self._share(self.section.overtravel, OVERTRAVEL)
+        self.step = round_below(WHOLE * self.overtravel, (1.0, 2.0, 5.0), 1e-9)
 
     @staticmethod
     def _size(stated: Quantity | None, usual: float, option: float | None = None) -> float:
@@ -215,7 +217,8 @@ class _Maker:
                 message = f"{body} is no part: {'a pin stands for it' if body in blocks else 'it has no holes'}"
                 raise InputError(message, "Leave it out", self.file, "parts.links", body)
         if any(not one.round for part in parts.values() for one in part.openings):
-            notes.append(f"Slots are {number(self.overtravel)} mm longer than the travel at each end.")
+            most = number(self.overtravel + self.step)
+            notes.append(f"Slots are {number(self.overtravel)} to {most} mm longer than the travel at each end.")
         if any(self._of_joint(pin.name)[0] == pin.diameter for pin in pins):
             notes.append("Holes have no clearance for their pins.")
         return PartSet(parts, tuple(pins), self._share(self.section.spacer, SPACER), self.motion, self.file, tuple(notes))
@@ -269,7 +272,8 @@ class _Maker:
             place = local(self.motion, body, MM * self.motion.position(name))[k] - MM * slides[k] * way
         else:
             place, beyond = MM * point, beyond + self._width(guide.slider)
-        return self._opening(name, place + (MM * np.array([[low], [high]]) + beyond * np.array([[-1.0], [1.0]])) * way)
+        ends = [math.floor((MM * low - beyond) / self.step + SAME), math.ceil((MM * high + beyond) / self.step - SAME)]
+        return self._opening(name, place + self.step * np.array(ends)[:, None] * way)
 
     def _ends(self, guide: Guide) -> Array:
         """Return the places (2, 2) of the two pins of a sliding body."""

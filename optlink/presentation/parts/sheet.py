@@ -6,7 +6,6 @@ import math
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 
 import numpy as np
 
@@ -14,13 +13,11 @@ from optlink.errors import InputError
 from optlink.linkage.mechanism import FRAME, Arm, Size
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Array
-from optlink.presentation.export.dxf import Vertex, rounded
-from optlink.presentation.parts.layers import Stacked, convex, stacked
-from optlink.presentation.parts.model import PartSet, distance, number, placed
+from optlink.presentation.parts.assembly import AROUND, assembly_view, clearest
+from optlink.presentation.parts.layers import Stacked, stacked
+from optlink.presentation.parts.model import PartSet, number
 from optlink.presentation.parts.part_view import part_view
-from optlink.presentation.parts.solids import polygon
 from optlink.presentation.parts.view import (
-    FIRST,
     GAP,
     SAME,
     SMALL,
@@ -29,8 +26,6 @@ from optlink.presentation.parts.view import (
     Style,
     Words,
     box,
-    circle,
-    letters,
     scale_text,
     segment,
     width,
@@ -53,9 +48,6 @@ BLOCK = (
     (14.0, {"company": 60.0, "title": 120.0}),
 )
 """Rows of the title block from below: height, and widths by label."""
-BALLOON = 4.5  # radius
-GRID = 41  # places for the tip of a balloon in each direction
-STEP = 0.5  # distance of the points at which the edges of an assembly are hidden or not
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,26 +82,6 @@ class Entry:
     material: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class _Thing:
-    """A part, pin or opening of an assembly [mm on paper]: within the distance `reach` of its core; `level` grows upwards."""
-
-    level: float
-    core: Array
-    reach: float
-    edges: tuple[tuple[Vertex, ...], ...] = ()
-    openings: tuple["_Thing", ...] = ()
-
-    def depth(self, points: Array) -> Array:
-        """Return the distances of points (n, 2) from its edge, negative within it."""
-        core = np.broadcast_to(self.core, (len(points), *self.core.shape))
-        away, sides = distance(points[:, None], core), np.roll(self.core, -1, axis=0) - self.core
-        if len(sides) > 2:  # counter-clockwise: the inside lies to the left of every side
-            normals = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1)[:, None]
-            away = np.where(away > 0.0, away, np.max(np.sum((points[:, None] - self.core) * normals, axis=2), axis=1))
-        return away - self.reach
-
-
 @dataclass(eq=False)
 class _Row:
     """Views beside each other on a page, and where the next one begins."""
@@ -121,9 +93,9 @@ class _Row:
 
 
 def sheets(
-    parts: PartSet, cycle: Analysis, at: Motion, caption: str, head: Mapping[str, str]
+    parts: PartSet, cycle: Analysis, at: Motion, captions: Sequence[str], head: Mapping[str, str]
 ) -> tuple[list[Sheet], tuple[str, ...]]:
-    """Return the sheets of parts: the assembly at the only position of `at` with a caption, then the parts by their scales.
+    """Return the sheets of parts: the assembly at one of the positions of `at`, with its caption, then the parts by their scales.
 
     The second result are the notes that stand on the first sheet.
 
@@ -145,11 +117,22 @@ def sheets(
         message = error.faults[0].message
         notes = (*notes, f"{message[0].upper()}{message[1:]}.")
     entries = [*_entries(parts, layers)]
-    assembly = functools.partial(_assembly, parts, layers, entries, at, caption)
+    levels = layers.layers if layers else {name: k for k, name in enumerate(parts.parts)}
     least = min(one.diameter for part in parts.parts.values() for one in part.openings)
     listed = [*_parts_list(entries, " ".join(notes))]
     rows = math.ceil(float(np.ptp(box(listed), axis=0)[1]) / ROW)
-    first, paper = _fitting(assembly, least, lambda paper: (_above(paper, rows), _beside(paper)), "the assembly", parts.file)
+
+    def areas(paper: str) -> tuple[Array, Array]:
+        return _above(paper, rows), _beside(paper)
+
+    def scale(size: Array) -> float:
+        free = [end - begin for paper in PAPERS for begin, end in areas(paper)]
+        fitting = (factor for factor in _scales(least) if any(np.all(one >= factor * size + AROUND) for one in free))
+        return next(fitting, 0.0)
+
+    k = clearest(parts, levels, at, scale)
+    assembly = functools.partial(assembly_view, parts, levels, [one.members for one in entries], at, k, captions[k])
+    first, paper = _fitting(assembly, least, areas, "the assembly", parts.file)
     pages = [(paper, [View(first.factor, moved(listed, _corner(paper))), first])]
     tolerances, views, large = dict(_tolerances(parts, cycle)), list[View](), 0
     for k, (entry, part) in enumerate(zip(entries, parts.parts.values(), strict=False), 1):
@@ -208,97 +191,6 @@ def _entries(parts: PartSet, layers: Stacked | None) -> Iterator[Entry]:
         groups.setdefault(("spacer", size, ""), []).append(pin.name)
     for (kind, size, layer), names in groups.items():
         yield Entry(f"{kind} {', '.join(dict.fromkeys(names))}", size, tuple(f"{kind} {name}" for name in names), layer)
-
-
-# --- the assembly ------------------------------------------------------------------------------------------------------------
-
-
-def _assembly(
-    parts: PartSet, layers: Stacked | None, entries: Sequence[Entry], at: Motion, caption: str, factor: float
-) -> tuple[Item, ...]:
-    """Draw the visible edges of parts and pins, with balloons."""
-    levels = layers.layers if layers else {name: k for k, name in enumerate(parts.parts)}
-    things: dict[str, _Thing] = {}
-    for name, part in parts.parts.items():
-        core, reach = factor * placed(at, name, convex(part))[0], factor * part.reach
-        ends = [(factor * placed(at, name, one.ends)[0], 0.5 * factor * one.diameter) for one in part.openings]
-        edge = rounded(core, reach) if reach else tuple((float(x), float(y), 0.0) for x, y in core)
-        edges = (edge, *itertools.starmap(rounded, ends))
-        things[name] = _Thing(levels[name], core, reach, edges, tuple(_Thing(levels[name], *one) for one in ends))
-    for pin in parts.pins:
-        core, reach = factor * placed(at, pin.on, pin.at[None])[0], 0.5 * factor * pin.head
-        level = max(levels[name] for name in pin.parts) + 0.5
-        things[f"pin {pin.name}"] = _Thing(level, core, reach, (rounded(core, reach),))
-    items: list[Item] = []
-    for thing in things.values():
-        above = [other for other in things.values() if other.level > thing.level]
-        items += [line for edge in thing.edges for line in _visible(edge, above)]
-    shown = [[things[name] for name in one.members] for one in entries if one.members[0] in things]
-    targets = [_target(alike, [*things.values()]) for alike in shown]
-    items += _balloons(np.array(targets), box(items))
-    seen = []
-    for pin in parts.pins:
-        own = things[f"pin {pin.name}"]
-        if any(True for _ in _visible(own.edges[0], [other for other in things.values() if other.level > own.level])):
-            seen.append((pin.name, own.core[0], own.reach))  # a letter alone would be that of the part that hides it
-    items += letters(seen, items)
-    low = box(items)[0]
-    return *items, Words(caption, low - [0.0, FIRST], align="left")
-
-
-def _visible(edge: tuple[Vertex, ...], above: Iterable[_Thing]) -> Iterator[Line]:
-    """Yield the pieces of a closed edge that nothing above hides."""
-    corners = polygon(edge)
-    ends = np.concatenate([corners, corners[:1]])
-    pieces = [
-        np.linspace(a, b, max(1, math.ceil(np.linalg.norm(b - a) / STEP)), endpoint=False) for a, b in itertools.pairwise(ends)
-    ]
-    points = np.concatenate([*pieces, ends[-1:]])
-    hidden = np.any([thing.depth(points) < -SAME for thing in above] or [np.zeros(len(points), dtype=bool)], axis=0)
-    if not hidden.any():
-        yield Line(edge, "outline", closed=True)
-        return
-    for run in np.split(np.arange(len(points)), np.flatnonzero(np.diff(hidden)) + 1):
-        if not hidden[run[0]] and len(run) > 1:
-            yield replace(segment(*points[run]), style="outline")
-
-
-def _target(alike: Iterable[_Thing], things: Sequence[_Thing]) -> Array:
-    """Return the place at which the balloon of parts or pins points: far from edges and from what hides it, near a middle."""
-    found: list[tuple[float, Array]] = []
-    for thing in alike:
-        middle = thing.core.mean(axis=0)
-        sides = [
-            np.linspace(low, high, GRID)
-            for low, high in zip(
-                *(thing.reach * way + end for way, end in ((-1.0, thing.core.min(axis=0)), (1.0, thing.core.max(axis=0)))),
-                strict=True,
-            )
-        ]
-        places = np.concatenate([middle[None], np.stack(np.meshgrid(*sides), axis=2).reshape(-1, 2)])
-        others = [*thing.openings, *(other for other in things if other.level > thing.level)]
-        clear = [-thing.depth(places), *(other.depth(places) for other in others)]
-        worth = np.min(clear, axis=0) - 0.01 * np.linalg.norm(places - middle, axis=1)
-        found.append((float(worth.max()), places[int(np.argmax(worth))]))
-    return max(found, key=itemgetter(0))[1]
-
-
-def _balloons(targets: Array, within: Array) -> Iterator[Item]:
-    """Yield numbers in circles above and below a box, with leaders to their targets (n, 2)."""
-    upper = targets[:, 1] >= np.mean(within[:, 1])
-    for chosen, y in ((upper, within[1, 1] + 3.0 * BALLOON), (~upper, within[0, 1] - 3.0 * BALLOON)):
-        order = np.flatnonzero(chosen)[np.argsort(targets[chosen, 0], kind="stable")]
-        xs = targets[order, 0].copy()
-        for k in range(1, len(xs)):
-            xs[k] = max(xs[k], xs[k - 1] + 3.0 * BALLOON)
-        xs += np.mean(targets[order, 0] - xs) if len(xs) else 0.0
-        for k, x in zip(order, xs, strict=True):
-            middle, tip = np.array([x, y]), targets[k]
-            way = (tip - middle) / np.linalg.norm(tip - middle)
-            yield segment(middle + BALLOON * way, tip)
-            yield circle(tip, 0.7, "solid")
-            yield circle(middle, BALLOON)
-            yield Words(str(k + 1), middle)
 
 
 # --- tables and layout -------------------------------------------------------------------------------------------------------
@@ -372,15 +264,17 @@ def _beside(paper: str) -> Array:
     return np.array([LOW + ROOM, [_corner(paper)[0] - ROOM, PAPERS[paper][1] - HIGH[1] - ROOM]])
 
 
+def _scales(hole: float) -> tuple[float, ...]:
+    """Return scales from the largest one: a view is enlarged only as far as its hole [mm] needs."""
+    largest = min((factor for factor in SCALES if factor >= 1.0 and factor * hole >= SMALLEST), default=SCALES[0])
+    return SCALES[SCALES.index(largest) :]
+
+
 def _fitting(
     draw: Callable[[float], tuple[Item, ...]], hole: float, areas: Callable[[str], Iterable[Array]], name: str, file: str
 ) -> tuple[View, str]:
-    """Return a view in the middle of a free area, at the largest scale at which it fits, and its paper.
-
-    A view is enlarged only as far as its hole [mm] needs.
-    """
-    largest = min((factor for factor in SCALES if factor >= 1.0 and factor * hole >= SMALLEST), default=SCALES[0])
-    for factor in SCALES[SCALES.index(largest) :]:
+    """Return a view in the middle of a free area, at the largest scale at which it fits, and its paper."""
+    for factor in _scales(hole):
         view = View(factor, draw(factor))
         low, high = view.box
         for paper in PAPERS:
