@@ -102,10 +102,12 @@ class ExactSolutions:
     @property
     def _others(self) -> str:
         """How many solutions have each reason, with the most frequent ones."""
-        listed = ", ".join(f"{cause} {count}" for cause, count in [*self.reasons.items()][:MOST_CAUSES])
-        left = len(self.reasons) - MOST_CAUSES
-        more = f" and {left} more reasons" if left > 0 else ""
-        return f"; reasons of the others: {listed}{more}" if listed else ""
+        counts = self.reasons
+        listed = ", ".join(f"{cause} {count}" for cause, count in [*counts.items()][:MOST_CAUSES])
+        left = len(counts) - MOST_CAUSES
+        more = f" and {left} more reasons" * (left > 0)
+        several = " (some have several)" * (sum(counts.values()) > len(self.solutions) - self.usable)
+        return f"; reasons of the others{several}: {listed}{more}" if listed else ""
 
 
 def _cause(reason: str) -> str:
