@@ -541,7 +541,7 @@ def exact_solutions(outcome: SynthesisResult) -> TableSpec | None:
     for k, one in enumerate(found.solutions[:MOST_EXACT], start=1):
         sizes = [number(one.values[name] * model.display(name)[0], 4) for name in names]
         angle, others = fixed(math.degrees(one.transmission), 1), len(one.reasons) - MOST_REASONS
-        reasons = ", ".join(one.reasons[:MOST_REASONS]) + (f" and {others} more" if others > 0 else "")
+        reasons = "; ".join(one.reasons[:MOST_REASONS]) + (f" and {others} more" if others > 0 else "")
         ranked = ["–" if one.figure is None else number(one.figure, 4)] if by else []
         rows.append((str(k), *sizes, *ranked, angle, Span(reasons) if one.reasons else good("usable")))
     columns = [">", *(f">{name}" for name in names), *([f">{by}"] if by else []), ">angle", "usable, or why not"]
