@@ -24,6 +24,7 @@ PAIR, DOUBLE = 2.0**-94, 2.0**-46  # bounds of the rounding of a value, of pairs
 DECIMAL = 1e-70  # the same of 80 digits
 STEPS = 8  # of Newton's method with 80 digits at most, from the end of a path
 CLOSE = 1e-3  # change by a step, relative to the coordinates, from which on they do not lead to a solution
+KNOWN = 1e-10  # relative error of marks that is small enough to tell solutions apart
 REACH = 0.1  # largest radius of a neighbourhood, relative to the coordinates
 HALF = 0.49  # of the contraction, with which the rounding of the bounds themselves is covered
 
@@ -91,7 +92,10 @@ def certificate(problem: Problem, roots: Roots) -> Certificate:
     """Return the solutions refined, and what is proven about each of them, for the data as they are."""
     with np.errstate(all="ignore"):
         found = _with_doubles(problem, roots)
-        for k in np.flatnonzero(~found.proven):
+        x, y = np.moveaxis(found.roots.dyads[:, :, :2], 1, 0)
+        near = np.minimum(LEAST, np.min(np.abs(x - y), axis=1))  # an error of the joints grows by so much in marks
+        known = found.existence * np.max(sizes(found.roots.dyads), axis=(1, 2)) < KNOWN * near
+        for k in np.flatnonzero(~known):
             again = _with_80_digits(problem, roots[k : k + 1])
             if again is not None and again.proven[0]:
                 found.roots.dyads[k], found.roots.turns[k] = again.roots.dyads[0], again.roots.turns[0]

@@ -58,8 +58,8 @@ class PosesAndPoints(FiveTargets):
             first = places[0] + np.exp(1j * (angles[0] - turned[0])) * (joints - places[order[0]])
             one, other = (link(*both, found.size) for both in zip(first, ends, strict=True))
             pairs += [FourBarSolution(*links, places, angles) for links in ((one, other), (other, one))[: 1 + either]]
-        rest, all_of_them = found.found - found.real, found.expected
-        return replace(counts, real=found.real, certified=found.real, complex=rest, roots=all_of_them), pairs
+        real = found.real
+        return replace(counts, real=real, certified=real, complex=found.found - real, roots=found.expected), pairs
 
 
 def given_pivots(task: DesignProblem) -> tuple[complex, complex] | None:
@@ -165,7 +165,6 @@ def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
     seconds = {"solve and validate": time.perf_counter() - clock}
     result = SynthesisResult(problem, (), None, NO_SEARCH, seconds)
     if shown:
-        result = of_designs(problem, shown, len(shown), seconds=seconds)
-        result = replace(result, designs=tuple(designs))
+        result = replace(of_designs(problem, shown, len(shown), seconds=seconds), designs=tuple(designs))
     summary = targets.summary
     return replace(result, exact_solutions=summary, notes=(summary.sentence,))

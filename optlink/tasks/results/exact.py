@@ -96,7 +96,8 @@ class ExactSolutions:
         listed = ", ".join(f"{count} × {cause}" for cause, count in [*self.reasons.items()][:MOST_CAUSES])
         left = len(self.reasons) - MOST_CAUSES
         more = f" and {count_noun(left, 'more reason')}" if left > 0 else ""
-        return f"; reasons of the others: {listed}{more}" if listed else ""
+        several = " (some have several)" * (sum(self.reasons.values()) > len(self.solutions) - self.usable)
+        return f"; reasons of the others{several}: {listed}{more}" if listed else ""
 
 
 def counts(found: ExactSolutions, others: str = "") -> str:
