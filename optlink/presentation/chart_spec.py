@@ -96,7 +96,8 @@ class Curve:
     """A line, markers, or both, over points (n,); `width` and `size` of the markers in points.
 
     `text` is shown when pointing at a point, `picks` are the numbers of the selectable points (see `Picks`), `shade` colours the
-    markers by a value named `shade_name`. `gid` identifies the curve in a picture. Without `legend` it has no legend entry.
+    markers by a value named `shade_name`. `gid` identifies the curve in a picture. Without `legend` it has no legend entry. The
+    short page leaves out curves of the `initial` design.
     """
 
     x: Array
@@ -116,6 +117,7 @@ class Curve:
     shade: Array | None = None
     shade_name: str = ""
     gid: str = ""
+    initial: bool = False
 
     @classmethod
     def through(cls, places: Array, name: str = "", colour: str = INK, width: float = 1.6, **options: Any) -> Curve:

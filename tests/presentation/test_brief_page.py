@@ -187,6 +187,22 @@ def test_a_chart_marked_for_the_short_page_comes_before_others():
     assert len(titles) == 2
 
 
+@pytest.mark.slow
+def test_a_short_page_draws_the_design_alone():
+    from optlink.presentation.html.page import _report
+
+    def curves(sections):
+        charts = (part for section in sections for part in section.parts if hasattr(part, "panels"))
+        return [curve.name for chart in charts for panel in chart.panels for curve in panel.traces]
+
+    with shared_searches():
+        study = _report(page_content("shaper-design", {}))
+    assert any("initial" in name for name in curves(study.sections))
+    shown = [str(curve.get("name")) for part in abridged(study).sections[-1].parts for curve in part.figure["data"]]
+    assert any("result" in name for name in shown)
+    assert not any("initial" in name for name in shown)
+
+
 def test_the_command_and_the_function_write_the_same_short_page(tmp_path):
     facts = {"date": "2026-01-02"}
     optlink.report("crank-rocker", tmp_path / "a.html", facts, brief=True)

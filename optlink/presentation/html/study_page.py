@@ -10,7 +10,7 @@ from optlink.dynamics.machine import Machine
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import Array
 from optlink.presentation.chart_mpl import paper
-from optlink.presentation.chart_spec import ChartSpec
+from optlink.presentation.chart_spec import ChartSpec, Curve, Panel
 from optlink.presentation.export.dimensions import Drawing, dimensioned
 from optlink.presentation.format import Scale, single_units
 from optlink.presentation.html import chart_plotly, moving_linkage
@@ -54,7 +54,7 @@ def abridged(studied: StoredStudy) -> StoredStudy:
     tables = [one for one in parts if isinstance(one, TableSpec) and not one.appendix and table_width(one) <= WIDE]
     figures = [replace(one, rows=_first_rows(one)) for one in tables[:1]]
     shown = PageSection("Limits", (studied.limits,)) if studied.limits else PageSection("Figures", (figures,))
-    charts = [replace(one, panels=one.panels[:PANELS], picks=None, designs=None) for one in specs]
+    charts = [replace(one, panels=[*map(_of_the_design, one.panels[:PANELS])], picks=None, designs=None) for one in specs]
     picked = (one.designs(one.picks.sources[one.picks.first]) for one in specs if one.designs and one.picks)
     return replace(
         studied,
@@ -67,6 +67,11 @@ def abridged(studied: StoredStudy) -> StoredStudy:
             *([PageSection("Curves", [replace(_chart(one), paper=paper(one)) for one in charts])] if charts else []),
         ],
     )
+
+
+def _of_the_design(panel: Panel) -> Panel:
+    """Return a panel without curves of the initial design."""
+    return replace(panel, traces=[one for one in panel.traces if not (isinstance(one, Curve) and one.initial)])
 
 
 def _first_rows(spec: TableSpec) -> tuple[tuple[Span, ...], ...]:

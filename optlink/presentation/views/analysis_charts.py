@@ -247,7 +247,7 @@ def curves(
     traces = []
     if initial is not None and column in initial.columns:
         words = f"{name}, initial machine" if name else "initial machine"
-        traces.append(Curve(*initial.line(column, shown.factor), words, MUTED, 1.1, "dot"))
+        traces.append(Curve(*initial.line(column, shown.factor), words, MUTED, 1.1, "dot", initial=True))
     traces.append(Curve(*cycle.line(column, shown.factor), name, colour, width, dash, gid=column))
     for k in cycle.breaks(column):
         ends = cycle.columns[column][k : k + 2] * shown.factor

@@ -81,13 +81,8 @@ def courses(design: LinkageDesign) -> list[ChartSpec]:
     cycles = {"result": optimal} if initial is None or not initial.complete else {"initial": initial, "result": optimal}
     driving = design.problem.model.driving
     panels = [_panel(design, term, cycles, (low, high)) for term, low, high in shown]
-    jumps = [
-        chart_spec.Line(
-            driving.shown(cycle.low + (at - cycle.low) % cycle.cycle), colour=RESULT if name == "result" else INITIAL, width=0.8
-        )
-        for name, cycle in cycles.items()
-        for at in cycle.work.jumps
-    ]
+    places = [optimal.low + (at - optimal.low) % optimal.cycle for at in optimal.work.jumps]
+    jumps = [chart_spec.Line(driving.shown(at), colour=RESULT, width=0.8) for at in places]
     x = drive_axis(driving, limits=(driving.shown(optimal.low), driving.shown(optimal.high)))
     if optimal.speed < 0.0 and driving.ends is None:
         x = Axis(f"{x.name}, turned clockwise: from right to left", x.limits, step=x.step)
@@ -109,6 +104,7 @@ def _panel(design: LinkageDesign, term: Term, cycles: dict[str, Cycle], limits: 
             f"{name}: {term.how} {shown.text(line.figure)}{line.way}",
             *styles[name],
             gid=name,
+            initial=name == "initial",
         )
         for name, line in lines.items()
     ]

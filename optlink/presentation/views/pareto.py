@@ -160,9 +160,15 @@ def overview(result: Pareto) -> Summary:
     title = result.problem.model.title
     if not result.points:
         return summary(title, _status(result))
-    rate = f"; {1e3 * result.cpu / result.done:z.0f} ms of processor time each" if result.done else ""
+    rate = (
+        f"; {1e3 * result.processor_seconds / result.points_done_now:z.0f} ms of processor time each"
+        if result.points_done_now
+        else ""
+    )
     knee = "knee by the distance from the chord of the ends (Das 1999)"
-    effort = Paragraph(quiet(f"{count_noun(result.done, 'point')} done in {result.seconds:z.1f} s{rate}; {knee}"), appendix=True)
+    effort = Paragraph(
+        quiet(f"{count_noun(result.points_done_now, 'point')} done in {result.seconds:z.1f} s{rate}; {knee}"), appendix=True
+    )
     return summary(title, _status(result), _points(result), _designs(result), effort)
 
 
