@@ -137,7 +137,11 @@ def same(block: Block, text: str) -> bool:
 
 
 def plain(text: str) -> str:
-    """Return a text without what differs between two runs: durations, rounding errors, widths of columns, differences."""
+    """Return a text without what differs between two runs: durations, rounding errors, widths of columns, differences.
+
+    On another processor other starts of a search end at each of its optima, and it lists other ones of equal designs.
+    """
+    text = re.sub(r"\nDistinct optima\n.*?(?=\n```|\Z)", "", text, flags=re.DOTALL)
     text = VARYING.sub("#", re.sub(r"(?:-{2,}|[ \u2500-\u257f])+", " ", text))
     text = re.sub(r"(position of the largest difference)(?: \|[^|]*){3}", r"\1", text)  # which one it is, rounding decides
     return re.sub(r"\| -?\d(?:e-\d+)? \|", "| # |", text)

@@ -745,8 +745,10 @@ class DesignCollection:
         """Return the distinct values of the valid ends, best first, with the number of starts that reached each."""
         ends = [(design, 1) for design in self._given if design.valid]
         ends += [(design, candidate.count) for candidate, design in self._ends.items() if design.valid]
-        ends.sort(key=lambda end: end[0].error)
-        distinct = tally(ends, lambda known, design: design.error <= known.error * (1.0 + SAME_OBJECTIVE))
+        ends.sort(key=lambda end: _rank(end[0]))
+        distinct = tally(
+            ends, lambda known, end: (known.exact and end.exact) or end.error <= known.error * (1.0 + SAME_OBJECTIVE)
+        )
         return tuple(Optimum(one.values, one.objective, count, mode_of(one.problem)) for one, count in distinct)
 
     def beyond_tolerances(self, candidates: list[Candidate]) -> float:
@@ -783,12 +785,14 @@ def _allowed_cost(task: DesignProblem) -> float:
     return COUNTED_RATIO**2 * float(np.sum((task.data.roots * task.data.tolerances) ** 2)) / task.whole**2
 
 
-def _rank(design: LinkageDesign) -> tuple[float, float]:
-    """Return a sort key: the objective; exact designs by decreasing worst transmission angle."""
-    if not design.exact:
-        return design.objective, 0.0
-    transmission = design.least_transmission
-    return 0.0, -(transmission if math.isfinite(transmission) else 0.0)
+def _rank(design: LinkageDesign) -> tuple[float, float, str]:
+    """Return a sort key: the objective; exact designs by decreasing worst transmission angle; equal ones by assembly modes.
+
+    Mirror images are equal but for rounding, which decides nothing.
+    """
+    transmission = design.least_transmission if design.exact else 0.0
+    objective = 0.0 if design.exact else float(f"{design.objective:.8e}")
+    return objective, round(-transmission, 9) if math.isfinite(transmission) else 0.0, mode_of(design.problem)
 
 
 def designs_from_four_bar(
