@@ -301,7 +301,7 @@ def test_a_peak_at_a_row_of_a_load_table_is_that_of_the_analysis(pump):
 def test_the_pace_of_a_slow_sweep_is_not_zero():
     computed = sweep(optlink.load("crank-rocker"), ["mechanism.frame=490..500 mm:2"])
     for seconds, done, pace in ((80.0, 5, "(0.062 a second"), (4.0, 3600, "(900 a second")):
-        said = str(sweep_view.overview(replace(computed, seconds=seconds, done=done, searched=2)).parts[-1])
+        said = str(sweep_view.overview(replace(computed, seconds=seconds, points_done_now=done, searched_points=2)).parts[-1])
         assert pace in said
         assert "all by a search" in said
 
