@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -152,6 +153,7 @@ def _report_model(
         facts = parse_assignments(changes or ())
         other = next((key for key in facts if not key.startswith("report.")), None)
         console.refuse({"--design": design, "--starts": search[1]}, "a result already contains its design", remedy, text)
+        remedy = f"Leave it out, or name the problem with --design {shlex.quote(place)}"
         console.refuse({"--set": other}, "a result already contains its problem", remedy, text)
         return stored_page(read_result(text), facts, text)
     file = console.load(text, changes)

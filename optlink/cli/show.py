@@ -155,6 +155,8 @@ def new(
             print(f"Next: optlink new {name} --out {name}.toml", file=sys.stderr)
     else:
         print(f"Written: {out}" if console.quiet else f"Written: {out}. Next: {text.commands[0]}")
+    if text.note and not console.quiet:
+        print(f"Note: {text.note}", file=sys.stderr)
 
 
 def _foreign(source: str, out: Path | None) -> Template:
@@ -164,7 +166,8 @@ def _foreign(source: str, out: Path | None) -> Template:
     from optlink.problem.templates import Template, with_commands
 
     if drawn_path.names_drawing(source):
-        return with_commands("", drawn_path.problem_text(source, out), out or "mine.toml")
+        text, note = drawn_path.problem_text(source, out)
+        return with_commands("", text, out or "mine.toml", note)
     commands = (f"optlink analyze {shlex.quote(str(out or 'mine.toml'))}",)
     return Template("", "Linkage of another program", commands, problem_text(source))
 

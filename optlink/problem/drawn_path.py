@@ -59,8 +59,8 @@ def names_drawing(source: str) -> bool:
     return source.partition("#")[0].lower().endswith(".svg")
 
 
-def problem_text(source: str, out: Path | None = None) -> str:
-    """Return the problem file of a path.
+def problem_text(source: str, out: Path | None = None) -> tuple[str, str]:
+    """Return the problem file of a path, and how long the path and a unit of its drawing are.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def problem_text(source: str, out: Path | None = None) -> str:
         return [within(min(axis) - room * size, max(axis) + room * size) for axis in places.T.tolist()]
 
     text = TEXT + OPEN * (not targets.loop)
-    return text.format(
+    filled = text.format(
         title=_quoted(f"Four-bar for the path of {Path(name).name}"),
         note=targets.note,
         size=size,
@@ -104,6 +104,7 @@ def problem_text(source: str, out: Path | None = None) -> str:
         name=_quoted(name if out is None else os.path.relpath(name, out.parent)),
         path=f", path = {_quoted(path)}" if path else "",
     )
+    return filled, targets.note
 
 
 def _quoted(text: str) -> str:

@@ -16,12 +16,13 @@ NEXT = "# Next: "
 
 @dataclass(frozen=True)
 class Template:
-    """A template: its name, one sentence, the commands to type next, and the text of the problem file."""
+    """A template: its name, one sentence, the commands to type next, the text of the problem file, and a note on it."""
 
     name: str
     summary: str
     commands: tuple[str, ...]
     text: str
+    note: str = ""
 
 
 def templates() -> dict[str, Path]:
@@ -38,7 +39,7 @@ def template(name: str, file: str | Path | None = None) -> Template:
     return with_commands(name, available[name].read_text(encoding="utf-8"), file or f"{name}.toml")
 
 
-def with_commands(name: str, text: str, file: str | Path) -> Template:
+def with_commands(name: str, text: str, file: str | Path, note: str = "") -> Template:
     """Return a text as a template whose commands name the file."""
     path = Path(file)
     replacements = {"FILE": shlex.quote(str(path)), "STEM": shlex.quote(str(path.with_suffix("")))}
@@ -46,7 +47,7 @@ def with_commands(name: str, text: str, file: str | Path) -> Template:
     for word, value in replacements.items():
         lines = [line.replace(word, value) if line.startswith(NEXT) else line for line in lines]
     commands = tuple(line.removeprefix(NEXT) for line in lines if line.startswith(NEXT))
-    return Template(name, lines[0].removeprefix("# "), commands, "\n".join(lines) + "\n")
+    return Template(name, lines[0].removeprefix("# "), commands, "\n".join(lines) + "\n", note)
 
 
 @typed

@@ -464,8 +464,11 @@ def test_arc_length_is_that_of_the_transformed_curve(tmp_path):
 SCALES = {
     "none": ("", {}, 1.0, "mm"),
     "viewBox alone": ('viewBox="0 0 800 600"', {}, 1.0, "mm"),
-    "plain width": ('width="800" viewBox="0 0 80 60"', {}, 1.0, "mm"),
-    "pixels": ('width="800px" viewBox="0 0 80 60"', {}, 1.0, "mm"),
+    "plain width": ('width="800" viewBox="0 0 80 60"', {}, 254 / 96, "mm"),
+    "pixels": ('width="800px" viewBox="0 0 80 60"', {}, 254 / 96, "mm"),
+    "pixels and a unit": ('width="800px" viewBox="0 0 80 60"', {"unit": "2 mm"}, 2.0, "mm"),
+    "plain, no viewBox": ('width="800" height="600"', {}, 25.4 / 96, "mm"),
+    "per cent": ('width="100%" height="100%" viewBox="0 0 80 60"', {}, 1.0, "mm"),
     "true": ('width="80mm" height="60mm" viewBox="0 0 800 600"', {}, 0.1, "mm"),
     "inch": ('width="8in" viewBox="0,0,8,6"', {}, 25.4, "mm"),
     "height alone": ('height="6cm" viewBox="-10 -10 800 600"', {}, 0.1, "mm"),
@@ -486,6 +489,8 @@ def test_scale_of_a_drawing(tmp_path, name):
     assert expected.unit == unit
     assert f"one user unit is {scale:.6g} mm" in expected.note
     assert ("though the file states 0.1 mm" in expected.note) == (name == "stated beats true")
+    at_72 = 'at 96 px an inch; at 72 px, as in Illustrator, add unit = "3.52778 mm"'
+    assert (at_72 in expected.note) == (name in ("plain width", "pixels"))
 
 
 def test_paths_by_id_and_number(tmp_path):

@@ -159,8 +159,9 @@ _SHAPES = ("path", "line", "polyline", "polygon", "rect", "circle", "ellipse")
 _PLAIN = ("g", "a", "switch")  # permitted parents of a shape; defs, symbols, nested drawings and the like place it elsewhere
 _MOVING = ("animate", "animateTransform", "animateMotion", "set")
 _PROPERTY = re.compile(r"transform(?:-origin)?|translate|rotate|scale|offset-path|zoom|d|c[xy]|r[xy]?", re.IGNORECASE)
-_MILLIMETRES = {"mm": 1.0, "cm": 10.0, "in": 25.4, "pt": 25.4 / 72.0, "pc": 25.4 / 6.0, "q": 0.25}
-_PIXEL = 25.4 / 96.0  # mm, of CSS
+PIXELS = 96  # an inch, of CSS
+_PIXEL = 25.4 / PIXELS  # mm
+_MILLIMETRES = {"px": _PIXEL, "mm": 1.0, "cm": 10.0, "in": 25.4, "pt": 25.4 / 72.0, "pc": 25.4 / 6.0, "q": 0.25}
 _FLATTEN = "Flatten it (Inkscape: Path > Object to Path, ungroup, save as Plain SVG)"
 
 _N = r"(?>[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
@@ -364,17 +365,22 @@ def _step(function: str, text: str) -> Array | None:
     return matrix if np.all(np.isfinite(matrix)) else None
 
 
-def _scale(root: _Element, name: str, forgive: bool) -> float | None:
-    """Return the length of one user unit [mm] defined by the drawing; None if undefined, or if ambiguous with `forgive`."""
-    sides = []
+def _scale(root: _Element, name: str, forgive: bool) -> tuple[float | None, bool]:
+    """Return the length of one user unit [mm] defined by the drawing, and whether by a size in pixels.
+
+    The length is None if undefined, or if ambiguous with `forgive`.
+    """
+    sides, units = [], set()
     for side in ("width", "height"):
-        match = re.fullmatch(rf"({_N})\s*([a-zA-Z]+)", root.attributes.get(side, "").strip())
-        unit = _MILLIMETRES.get(match[2].lower()) if match else None
+        match = re.fullmatch(rf"({_N})\s*([a-zA-Z]*)", root.attributes.get(side, "").strip())
+        unit = _MILLIMETRES.get(match[2].lower() or "px") if match else None
         sides.append(float(match[1]) * unit if match and unit else None)
+        units |= {match[2].lower() or "px"} if match and unit else set()
+    pixels = units == {"px"}
     if sides == [None, None]:
-        return None
+        return None, False
     if "viewBox" not in root.attributes:
-        return _PIXEL
+        return _PIXEL, pixels
     box, add = root.attributes["viewBox"], 'Correct it, or state the length of a user unit: unit = "mm"'
     values = [float(number) for number in re.findall(_N, box)] if re.fullmatch(rf"{_S}(?:{_N}{_C}){{4}}", box) else []
     scales = [side / whole for side, whole in zip(sides, values[2:], strict=False) if side is not None and whole > 0.0]
@@ -382,12 +388,12 @@ def _scale(root: _Element, name: str, forgive: bool) -> float | None:
     aspect = root.attributes.get("preserveAspectRatio", "")
     stretched = clear and "none" in aspect and max(scales) > min(scales) * (1.0 + 1e-6)
     if forgive and (stretched or not clear):
-        return None
+        return None, False
     if not clear:
         raise Unusable(f"the viewBox of {name} cannot be read", add, "svg", shortened(box))
     if stretched:
         raise Unusable(f"{name} is stretched: its width and height do not match its viewBox", add, "svg", shortened(box))
-    return max(scales) if "slice" in aspect else min(scales)
+    return max(scales) if "slice" in aspect else min(scales), pixels
 
 
 def _user_unit(raw: Mapping[str, Any]) -> tuple[float, str]:
@@ -397,7 +403,7 @@ def _user_unit(raw: Mapping[str, Any]) -> tuple[float, str]:
     """
     stated = raw["unit"]
     if stated in ("pt", "px", "pc"):
-        return (_MILLIMETRES | {"px": _PIXEL})[stated], "mm"
+        return _MILLIMETRES[stated], "mm"
     if isinstance(stated, str) and re.match(r"[\d.]", stated):
         value, unit = read_scalar(stated, "length", "unit")
         return 1e3 * value, unit
@@ -416,7 +422,7 @@ def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
     name, data = read_file(raw, "svg", folder)
     root, shapes, sheets = _elements(data, name)
     shape = _chosen(shapes, raw, name)
-    file_scale = _scale(root, name, millimetres_per_unit is not None)
+    file_scale, pixels = _scale(root, name, millimetres_per_unit is not None)
     scale = millimetres_per_unit or file_scale or 1.0
     matrix = np.diag([1e-3 * scale, -1e-3 * scale, 1.0]) @ _placed(shape, sheets, name)
     try:
@@ -428,7 +434,10 @@ def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
     except Unusable as error:
         key = error.key or "path"
         raise Unusable(f"{shape} of {name}: {error.message}", error.remedy, key, error.value) from None
-    known = "as stated in the file" if file_scale else 'not stated in the file: add unit = "pt", "px" or "in" if it is another'
+    known = 'not stated in the file: add unit = "pt", "px" or "in" if it is another'
+    if file_scale:
+        known = f'at {PIXELS} px an inch; at 72 px, as in Illustrator, add unit = "{scale * PIXELS / 72.0:.6g} mm"'
+        known = known if pixels else "as stated in the file"
     origin = "as stated" if millimetres_per_unit else known
     if file_scale and not math.isclose(scale, file_scale, rel_tol=1e-6):
         origin = f"as stated, though the file states {file_scale:.6g} mm"
