@@ -57,6 +57,6 @@ def test_a_default_margin_that_excludes_a_better_optimum_is_named_with_its_gain(
     assert "(100.000 %)" in note  # the planted linkage is exact
     stated = {**raw, "limits": {**raw["limits"], "length_margin": 1e-5}}
     better = optlink.solve(optlink.read(stated), starts=60 if "points" in raw["requirement"] else 1, certify=False)
-    assert better.notes == ()
+    assert not any("length_margin" in note for note in better.notes)
     assert math.sqrt(better.objective) < 1e-3 * math.sqrt(result.objective)
     assert better.design["rocker"] == pytest.approx(1e-3 * LINKAGE["rocker"], rel=1e-6)
