@@ -35,7 +35,6 @@ from optlink.cli.options import (
 )
 from optlink.errors import InputError
 from optlink.execution import interrupts
-from optlink.units import count_noun
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
@@ -178,6 +177,7 @@ def _series(measured: Path | None) -> list[str]:
 def _rows_done(begun: Mapping[str, Any], revolutions: int, out: Path | None) -> int:
     """Return the number of rows of a simulation before those that follow; the last revolution is simulated again."""
     from optlink.cli.console import earlier_result
+    from optlink.units import count_noun
 
     result = {} if out is None else earlier_result(out)
     if result.get("valid") and (result.get("figures") or {}).get("revolutions") == revolutions == begun.get("revolutions"):

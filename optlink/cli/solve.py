@@ -31,7 +31,6 @@ from optlink.cli.options import (
     share_number,
 )
 from optlink.errors import InputError
-from optlink.units import count_noun
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
@@ -221,6 +220,7 @@ def _contradictions(design: list[str], file: ProblemFile, result: DesignResult) 
 def _interrupted(result: DesignResult) -> str:
     """Describe what an interrupted search or proof has reached."""
     from optlink.tasks.results.certificate import NOT_CLOSED
+    from optlink.units import count_noun
 
     if "rounding" in result.seconds:
         found = getattr(result, "rounding", None)

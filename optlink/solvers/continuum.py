@@ -42,7 +42,7 @@ def continuum(task: DesignProblem, solution: Solution, name: str) -> Continuum |
         lead = int(np.argmax(np.abs(direction[: len(task.free)])))
         if abs(direction[lead]) < MOVES:
             continue
-        other = _shifted(task, solution, lead, name)
+        other = _shifted(task, solution, direction, lead, name)
         if other is not None:
             return _continuum(task, solution, other, lead)
     return None
@@ -68,8 +68,11 @@ def _flat(solution: Solution) -> list[Array]:
     return [basis @ vectors[:, k] for k in np.argsort(np.abs(values)) if abs(values[k]) <= FLAT * stiff]
 
 
-def _shifted(task: DesignProblem, solution: Solution, lead: int, name: str) -> Solution | None:
-    """Return an equally good design with a different value of one design variable; None if there is none."""
+def _shifted(task: DesignProblem, solution: Solution, direction: Array, lead: int, name: str) -> Solution | None:
+    """Return an equally good design with a different value of one design variable; None if there is none.
+
+    It is sought from a point along the flat direction, then from one that differs in this variable alone.
+    """
     nlp = solution.nlp
     low, high = float(nlp.x_low[lead]), float(nlp.x_high[lead])
     at = float(solution.x[lead])
@@ -79,15 +82,17 @@ def _shifted(task: DesignProblem, solution: Solution, lead: int, name: str) -> S
     nlp.set_exchange_points(solution.p[len(nlp.p) - nlp.exchange_count :])
     try:
         nlp.limit(lead, target, target)
-        x = solution.x.copy()
-        x[lead] = target
-        other = multistart.solve_from(nlp, nlp.lifted(x), name)
-        other = solve_semi_infinite(task, other, CLOSE) if other.usable else other
+        alone = np.where(np.arange(len(solution.x)) == lead, target, solution.x)
+        for x in (solution.x + direction * (target - at) / direction[lead], alone):
+            other = multistart.solve_from(nlp, nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high)), name)
+            other = solve_semi_infinite(task, other, CLOSE) if other.usable else other
+            same = abs(other.objective - solution.objective) <= SAME_OBJECTIVE * max(abs(solution.objective), 1e-300)
+            if other.usable and same:
+                return other
     finally:
         nlp.limit(lead, low, high)
         nlp.set_exchange_points(places)
-    same = abs(other.objective - solution.objective) <= SAME_OBJECTIVE * max(abs(solution.objective), 1e-300)
-    return other if other.usable and same else None
+    return None
 
 
 def _continuum(task: DesignProblem, solution: Solution, other: Solution, lead: int) -> Continuum:

@@ -58,7 +58,7 @@ class DyadCurves:
     poles: Array = field(default_factory=lambda: np.empty((0, 2)))
     special: str = ""
     note: str = ""
-    trace: "_Trace | None" = field(default=None, repr=False)
+    _trace: "_Trace | None" = field(default=None, repr=False)
 
     @cached_property
     def dyads(self) -> tuple[Complex, Complex]:
@@ -67,8 +67,8 @@ class DyadCurves:
 
     def between(self, rows: Array) -> tuple[Complex, Complex]:
         """Return points and pivots at rows (n,) that need not be whole numbers: of the curves themselves, not of their chords."""
-        if self.trace is not None:
-            return self._placed(self.trace(rows))
+        if self._trace is not None:
+            return self._placed(self._trace(rows))
         if self.special:
             return np.full(len(rows), np.nan + 0j), np.full(len(rows), np.nan + 0j)
         low = np.clip(np.floor(rows).astype(int), 0, len(self.homogeneous[0]) - 1)  # of a line
@@ -150,7 +150,7 @@ def curves(places: Sequence[complex] | Complex, angles: Sequence[float] | Array,
     trace = _Trace(sheets, [(*ends, sheets.spaced(*ends, samples)) for ends in sheets.intervals])
     finite = poles[sines > SPECIAL, :2]
     every = trace(np.arange(len(trace.parts) * (samples + 1.0)))
-    return DyadCurves(z, turn, size, every, [z[0].real, z[0].imag] + size * finite, trace=trace)
+    return DyadCurves(z, turn, size, every, [z[0].real, z[0].imag] + size * finite, _trace=trace)
 
 
 def dyads_of_joint(places: Complex, angles: Array, joint: complex, *, fixed: bool, samples: int = SAMPLES) -> DyadCurves:

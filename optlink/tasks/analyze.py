@@ -768,7 +768,7 @@ def analyze_batch(
     ----------
     problem : ProblemFile, str or Path
         From `optlink.load`, the name of a shipped problem, or a file.
-    designs : mapping of str to array (designs,) or float [SI], or a data frame of pandas
+    designs : mapping of str to array (designs,) or float [SI], or Frame
         Values by the name of the dimension, for example {"coupler.length": [0.14, 0.15]}; `optlink show` lists the names. Texts
         have units: ["140 mm", "150 mm"]. One value is that of all designs; other dimensions keep the value of the problem.
     columns : sequence of str, optional

@@ -85,7 +85,7 @@ def test_several_requirements_have_their_charts_figures_and_files(tmp_path) -> N
     result = optlink.validate(optlink.read(raw), {})
     alone = by_section(measure="max")
     largest, anywhere = (math.degrees(np.max(np.abs(alone.error(at)))) for at in (None, np.linspace(0.0, 0.5 * np.pi, 20_001)))
-    assert [chart.file for chart in view_of("design").charts(result)] == ["law", "transmission"]
+    assert [chart.file for chart in view_of("design").charts(result) if chart.file] == ["law", "transmission"]
     text = words(table_of("design")(result))
     stated = re.search(r"largest error of function ([\d.]+) deg error: .* at most 12 deg", text)
     assert stated is not None, text

@@ -343,7 +343,7 @@ class WayBack:
     """The curve of a point beyond an open path, on which it returns while the crank turns on.
 
     `drawn` and `whole` [m]: the lengths of the curve along the points and of all of it; `away` [m]: the largest distance of the
-    rest from the points' part.
+    rest from the points' part; `bounded`: whether a limit of the file keeps the point in or out of a region.
     """
 
     point: str
