@@ -145,8 +145,8 @@ def test_a_design_that_cannot_be_assembled_leaves_out_its_pictures(crank_rocker,
 
 
 @pytest.mark.slow
-def test_an_oscillating_crank_is_drawn_over_its_reachable_range(crank_rocker, tmp_path):
-    """A triple-rocker: the pictures cover the range that can be reached, and no more."""
+def test_an_oscillating_crank_is_drawn_over_its_range(crank_rocker, tmp_path):
+    """A triple-rocker: the pictures cover the range of the requirement, and no more."""
     raw = {**crank_rocker.raw, "limits": {"crank": "span"}}
     raw["mechanism"] = {
         name: f"{value} mm" for name, value in zip(("crank", "coupler", "rocker", "frame"), (300, 250, 280, 500), strict=True)
@@ -156,9 +156,7 @@ def test_an_oscillating_crank_is_drawn_over_its_reachable_range(crank_rocker, tm
     assert result.valid
     axes = draw(chart(result, "transmission")).axes[0]
     angles = max((line.get_xdata() for line in axes.get_lines()), key=len)
-    highest = math.degrees(math.acos((0.3**2 + 0.5**2 - 0.53**2) / (2 * 0.3 * 0.5)))
-    assert angles[-1] == pytest.approx(highest, abs=1e-3)
-    assert angles[0] == pytest.approx(-highest, abs=1e-3)
+    assert (angles[0], angles[-1]) == pytest.approx((30.0, 50.0))
     view_of("design").write(result, tmp_path, film=True)
     assert (tmp_path / "motion.gif").exists()
 

@@ -27,7 +27,6 @@ from optlink.presentation.views.search_tables import (
     search_summary,
 )
 from optlink.problem.requirements.base import pose_angles
-from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.design import NO_SEARCH, LinkageDesign, SynthesisResult
 from optlink.tasks.results.fit import PathFit
 from optlink.units import DISPLAYED
@@ -320,8 +319,8 @@ def design_result(outcome: SynthesisResult) -> Summary:
         status: list[Line] = [*refuted_first(outcome), bad("no linkage found"), *reason, *certificate_lines(proof)]
         opposed = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
         return summary(model.title, status, exact_solutions(outcome), opposed, certificate, effort(outcome))
-    machine, alone = turning_machine(best.problem, best.values), best.whole.of_cycle
-    strokes = None if machine is None else machine_strokes(machine, best.rotation[1])
+    alone = best.whole.of_cycle
+    strokes = None if best.turning is None else machine_strokes(best.turning, best.rotation[1])
     distinct = f"{count} distinct designs verified" if count > 1 else ""
     return search_summary(
         outcome,
@@ -352,6 +351,9 @@ def _sizes(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
     if isinstance(design.assembly, str):
         remark = f"joint C lies to the {design.assembly} of B -> D{', chosen' * chosen}"
     rows.append(("assembly", strong(shown), "", quiet(remark)))
+    if design.swing is not None:
+        ends = " ... ".join(fixed(math.degrees(end), 2) for end in design.swing)
+        rows.append(("crank swings", ends, "deg", quiet("it need not turn fully")))
     unusable = outcome.exact_solutions is not None and not outcome.designs
     return table(NEAREST_DESIGN if unusable or design.status is Status.INFEASIBLE else "Design", "<><<", rows)
 
