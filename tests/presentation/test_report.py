@@ -21,6 +21,7 @@ from optlink.presentation.report_model import report_model_of, solve_or_validate
 from optlink.presentation.views import design_cycle
 from optlink.presentation.views.design import charts, frames
 from optlink.presentation.views.design_drawings import at_positions
+from optlink.presentation.views.design_tables import from_flat
 from optlink.presentation.views.objective_map import objective_map
 
 
@@ -94,6 +95,9 @@ def test_transmission_touches_its_limit(solved):
     gamma = max((line.get_ydata() for line in axes.get_lines()), key=len)
     assert np.max(gamma) == pytest.approx(135.0, abs=1e-6)
     assert np.min(gamma) == pytest.approx(70.3792, abs=1e-3)
+    marks = [mark.text for mark in chart(solved, "transmission")[0].panels[0].marks]
+    assert marks == ["smallest 70.38°", "largest 135.00°, 45° from 180°"]
+    assert (from_flat(44.0, 135.0), from_flat(45.0, 135.0), from_flat(math.nan, math.nan)) == ("", "", "")
 
 
 @pytest.mark.slow

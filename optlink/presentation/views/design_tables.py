@@ -34,6 +34,7 @@ from optlink.units import DISPLAYED
 # Words of a synthesised design by kind of requirement: its figures, the table and the file of its positions, its conclusion.
 
 MIN_LENGTH = 1e-8  # m, least length that is shown
+WORSE = 1e-6  # deg by which a transmission angle must be nearer to 180 deg than another one to 0 to be the worse
 MAX_POINTS = 12  # largest number of points listed on a terminal; result.json and points.csv contain all
 
 
@@ -256,7 +257,9 @@ def sentence(design: LinkageDesign) -> str:
     if isinstance(design.fit, PathFit) and design.fit.grade != design.fit.at_points:
         clauses[0] += f", but deviates by {si(design.fit.excursion, 'm')} between {design.fit.segment}"
     clauses = [*filter(None, clauses)]
-    least = transmission(design)
+    low, high = np.degrees(design.transmission_range)
+    flat, least = from_flat(low, high), transmission(design)
+    least = f"largest transmission angle {figure(high, 'deg')}{flat}" if flat else least
     text = "; ".join([*clauses, least] if least and clauses else clauses or [f"the {least}"] * bool(least))
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 
@@ -280,6 +283,11 @@ def transmission(design: LinkageDesign) -> str:
     """Format the worst transmission angle; empty if there is none."""
     least = math.degrees(design.least_transmission)
     return f"least transmission angle {figure(least, 'deg')}" if math.isfinite(least) else ""
+
+
+def from_flat(low: float, high: float) -> str:
+    """Return how far the larger of two transmission angles [deg] is from 180 deg; nothing if the smaller one is the worse."""
+    return f", {figure(180.0 - high, 'deg')} from 180°" if low + high > 180.0 + WORSE else ""
 
 
 def modes(design: LinkageDesign) -> dict[str, str]:

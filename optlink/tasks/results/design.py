@@ -426,9 +426,15 @@ class LinkageDesign(Summary):
         """Strokes of every output, as JSON; empty if the crank does not turn fully."""
         return {} if self.turning is None else stroke_document(self.turning, self.rotation[1])
 
-    @cached_property
+    @property
     def least_transmission(self) -> float:
         """Least distance of the transmission angle from 0 and 180 deg over the required motion [rad]; NaN if there is none."""
+        low, high = self.transmission_range
+        return min(low, math.pi - high)
+
+    @cached_property
+    def transmission_range(self) -> tuple[float, float]:
+        """Smallest and largest transmission angle over the required motion [rad], of all dyads; NaN if there is none."""
         begin, end = self.task.linkage.extent
         if self.whole.parts and not self.crank_turns:
             begin, end = float(np.min(self.crank_angles)), float(np.max(self.crank_angles))
@@ -440,8 +446,9 @@ class LinkageDesign(Summary):
 
         grid = np.linspace(begin, end, 721)
         if not groups or not np.all(np.isfinite(cosines(grid))):
-            return math.nan
-        return math.acos(min(float(np.max(np.abs(extremes(cosines, grid, periodic=self.crank_turns)[1]))), 1.0))
+            return math.nan, math.nan
+        ends = np.arccos(np.clip(extremes(cosines, grid, periodic=self.crank_turns)[1], -1.0, 1.0))
+        return float(np.min(ends)), float(np.max(ends))
 
     @cached_property
     def cognates(self) -> tuple[Cognate, ...]:
