@@ -736,7 +736,7 @@ def fixed_design(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
     return file.with_tables(raw)
 
 
-def started(machine: ProblemFile, begin: float, way: float) -> ProblemFile:
+def started(machine: ProblemFile, begin: float, way: float, ends: tuple[float, float] | None = None) -> ProblemFile:
     """Return a machine with another start of its crank.
 
     Parameters
@@ -745,11 +745,15 @@ def started(machine: ProblemFile, begin: float, way: float) -> ProblemFile:
         Crank angle at the start; the machine is returned unchanged if it is not finite.
     way : float
         The sign of the crank speed; 0 for that of the machine.
+    ends : tuple of float [rad], optional
+        The crank angles between which it swings, the start among them.
     """
     if not math.isfinite(begin):
         return machine
     speed = math.copysign(machine.model.driving.pace, way) if way else machine.model.driving.pace
-    return machine.override({"drive.start": f"{math.remainder(begin, TURN)!r} rad", "drive.speed": f"{speed!r} rad/s"})
+    start = begin if ends else math.remainder(begin, TURN)
+    swing = {"drive.range": [f"{end!r} rad" for end in ends]} if ends else {}
+    return machine.override({"drive.start": f"{start!r} rad", "drive.speed": f"{speed!r} rad/s", **swing})
 
 
 def with_files_beside(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]:

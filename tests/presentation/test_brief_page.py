@@ -15,6 +15,8 @@ import pytest
 
 import optlink
 from optlink.presentation import chart_mpl
+from optlink.presentation.html import moving_linkage
+from optlink.presentation.html.moving_linkage import cycle_of
 from optlink.presentation.html.page import page, write_page
 from optlink.presentation.html.study_page import abridged
 from optlink.presentation.interface import page_content
@@ -137,6 +139,26 @@ def test_the_sentence_of_a_short_page_states_the_swing():
     problem = {"limits.swing_angle": "90 deg +- 0.5 deg", "limits.time_ratio": [1, 1.01]}
     result = optlink.solve(optlink.read(template("wiper").text, "wiper").override(problem), starts=1, certify=False)
     assert "swing angle 89.5°; the least transmission angle" in text_of(page(page_content(result, {}), brief=True))
+
+
+def test_a_crank_that_swings_is_shown_in_its_range():
+    """Sentence, drawing, printed positions and slider of a linkage whose crank could turn fully."""
+    result = optlink.validate(optlink.load("crank-rocker").override({"limits.crank": "span"}), {"coupler": 0.4, "rocker": 0.24})
+    begin, turned = result.best.rotation
+    text, angles = page(page_content(result, {}), brief=True), np.degrees([begin, begin + turned])
+    assert f"its crank, which swings between {angles[0]:.2f}° and {angles[1]:.2f}°:" in text_of(text)
+    assert f">{math.degrees(turned):.4g}°<" in text
+    assert ">360°<" not in text
+    stops = moving_linkage.turning(cycle_of(result.machine, {}), 360).stops.values
+    assert (stops[0], stops[-1]) == pytest.approx(tuple(angles), abs=1e-6)
+    assert re.search(rf"crank swings +{angles[0]:.2f} ... {angles[1]:.2f} +deg", str(result))
+    assert result.best.strokes == {}
+    changed = optlink.load("crank-rocker").override({"requirement.span": "-90 deg", "limits.crank": "span"})
+    clockwise = optlink.validate(changed, {"coupler": 0.4, "rocker": 0.24})
+    low, high = clockwise.best.swing
+    assert high == pytest.approx(clockwise.best.rotation[0])
+    assert clockwise.machine.model.linkage.limits == pytest.approx((low, high))
+    assert clockwise.machine.model.driving.first == pytest.approx(high)
 
 
 def test_limits_have_values_and_margins():

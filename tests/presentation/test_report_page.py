@@ -173,7 +173,7 @@ def test_a_design_that_cannot_be_assembled_has_a_page_without_a_drawing():
 def test_a_page_begins_with_its_conclusion(crank_rocker_subject):
     error = np.degrees(crank_rocker_subject.result.error())
     expected = f"within {np.max(np.abs(error)):.4g}° (root mean square {np.sqrt(np.mean(error**2)):.4g}°)"
-    expected = f"{expected}; least transmission angle 45°"
+    expected = f"{expected}; largest transmission angle 135°, 45° from 180°"
     assert f"{expected}. Active limit: largest transmission angle (≤\N{NO-BREAK SPACE}135°)." in page(crank_rocker_subject)
     infeasible = subject("crank-rocker", **{"limits.transmission_angle": ["80 deg", "100 deg"]})
     text = page(infeasible)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 
 from optlink.dynamics.columns import efforts
-from optlink.presentation.format import figure, joined, shown, si, why_invalid
+from optlink.presentation.format import degrees, figure, joined, shown, si, why_invalid
 from optlink.presentation.views.design_tables import sentence
 from optlink.presentation.views.search_tables import clause
 from optlink.problem.terms import BACK
@@ -104,7 +104,9 @@ def machine(cycle: Analysis) -> str:
     bars, slides = len(mechanism.bodies) + 1, len(mechanism.guides)
     sliders = "" if not slides else " with a slider" if slides == 1 else f" with {slides} sliders"
     drive = f"the {driving.coordinate}" if driving.ends is not None else "laws of its drives" if mechanism.drives else "its crank"
-    turning = ", which turns fully" if cycle.ranges.full and not mechanism.drives and mechanism.limits is None else ""
+    limits = mechanism.limits
+    moves = f"swings between {' and '.join(map(degrees, limits))}" if limits else "turns fully" * cycle.ranges.full
+    turning = f", which {moves}" if moves and not mechanism.drives else ""
     plain = bars in BARS and not mechanism.cylinders
     kind = (
         f"{BARS[bars]} linkage"

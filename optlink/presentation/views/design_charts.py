@@ -36,7 +36,7 @@ from optlink.presentation.drawing import film
 from optlink.presentation.format import scale, si
 from optlink.presentation.labels import Label
 from optlink.presentation.shapes import even, finite
-from optlink.presentation.views.design_tables import captions, words_of
+from optlink.presentation.views.design_tables import captions, from_flat, words_of
 from optlink.presentation.views.design_view import DesignView, fitting, title_of, wrapped
 from optlink.problem.requirements.base import pose_angles
 from optlink.problem.targets.law import Function
@@ -375,8 +375,9 @@ def transmission(view: DesignView) -> list[ChartSpec]:
         colour, ends = RESULT if len(groups) == 1 else BODIES[k % len(BODIES)], np.degrees(extreme[k])
         name = f"at {group.joint}: {ends[0]:z.2f}° to {ends[1]:z.2f}°"
         traces.append(Curve(crank, gamma[:, k], name, colour, 1.9, gid=f"transmission {group.joint}"))
-        for word, at, value, way in zip(("least", "largest"), view.crank(places[k]), ends, (-1.0, 1.0), strict=True):
-            marks.append(Mark(at, value, f"{word} {value:z.2f}°", colour, prefer=(0.0, way)))
+        words = f"smallest {ends[0]:z.2f}°", f"largest {ends[1]:z.2f}°{from_flat(*ends)}"
+        for text, at, value, way in zip(words, view.crank(places[k]), ends, (-1.0, 1.0), strict=True):
+            marks.append(Mark(at, value, text, colour, prefer=(0.0, way)))
         limit = task.limits.transmission_at(group.joint)
         for word, bound in () if limit is None else (("at least", limit.low), ("at most", limit.high)):
             lines += [] if bound is None else [(f"{word} {math.degrees(bound):.5g}°", math.degrees(bound))]

@@ -27,7 +27,6 @@ from optlink.presentation.views.search_tables import (
     search_summary,
 )
 from optlink.problem.requirements.base import pose_angles
-from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.design import NO_SEARCH, LinkageDesign, SynthesisResult
 from optlink.tasks.results.fit import PathFit
 from optlink.units import DISPLAYED
@@ -35,6 +34,7 @@ from optlink.units import DISPLAYED
 # Words of a synthesised design by kind of requirement: its figures, the table and the file of its positions, its conclusion.
 
 MIN_LENGTH = 1e-8  # m, least length that is shown
+WORSE = 1e-6  # deg by which a transmission angle must be nearer to 180 deg than another one to 0 to be the worse
 MAX_POINTS = 12  # largest number of points listed on a terminal; result.json and points.csv contain all
 
 
@@ -257,7 +257,9 @@ def sentence(design: LinkageDesign) -> str:
     if isinstance(design.fit, PathFit) and design.fit.grade != design.fit.at_points:
         clauses[0] += f", but deviates by {si(design.fit.excursion, 'm')} between {design.fit.segment}"
     clauses = [*filter(None, clauses)]
-    least = transmission(design)
+    low, high = np.degrees(design.transmission_range)
+    flat, least = from_flat(low, high), transmission(design)
+    least = f"largest transmission angle {figure(high, 'deg')}{flat}" if flat else least
     text = "; ".join([*clauses, least] if least and clauses else clauses or [f"the {least}"] * bool(least))
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 
@@ -281,6 +283,11 @@ def transmission(design: LinkageDesign) -> str:
     """Format the worst transmission angle; empty if there is none."""
     least = math.degrees(design.least_transmission)
     return f"least transmission angle {figure(least, 'deg')}" if math.isfinite(least) else ""
+
+
+def from_flat(low: float, high: float) -> str:
+    """Return how far the larger of two transmission angles [deg] is from 180 deg; nothing if the smaller one is the worse."""
+    return f", {figure(180.0 - high, 'deg')} from 180°" if low + high > 180.0 + WORSE else ""
 
 
 def modes(design: LinkageDesign) -> dict[str, str]:
@@ -320,8 +327,8 @@ def design_result(outcome: SynthesisResult) -> Summary:
         status: list[Line] = [*refuted_first(outcome), bad("no linkage found"), *reason, *certificate_lines(proof)]
         opposed = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
         return summary(model.title, status, exact_solutions(outcome), opposed, certificate, effort(outcome))
-    machine, alone = turning_machine(best.problem, best.values), best.whole.of_cycle
-    strokes = None if machine is None else machine_strokes(machine, best.rotation[1])
+    alone = best.whole.of_cycle
+    strokes = None if best.turning is None else machine_strokes(best.turning, best.rotation[1])
     distinct = f"{count} distinct designs verified" if count > 1 else ""
     return search_summary(
         outcome,
@@ -352,6 +359,9 @@ def _sizes(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
     if isinstance(design.assembly, str):
         remark = f"joint C lies to the {design.assembly} of B -> D{', chosen' * chosen}"
     rows.append(("assembly", strong(shown), "", quiet(remark)))
+    if design.swing is not None:
+        ends = " ... ".join(fixed(math.degrees(end), 2) for end in design.swing)
+        rows.append(("crank swings", ends, "deg", quiet("it need not turn fully")))
     unusable = outcome.exact_solutions is not None and not outcome.designs
     return table(NEAREST_DESIGN if unusable or design.status is Status.INFEASIBLE else "Design", "<><<", rows)
 

@@ -31,7 +31,8 @@ class DesignView:
     """Motion of a synthesised design relative to the range of its requirement.
 
     `begin` and `end` are the crank angles [rad] of that range, `at` contains the positions at its targets. `run` is the motion
-    over the range, or a revolution if the points are closed; `motion` is the whole motion: a revolution, or the reachable range.
+    over the range, or a revolution if the points are closed; `motion` is the whole motion: a revolution, the range in which the
+    crank swings, or the reachable range.
     """
 
     def __init__(self, design: LinkageDesign, refuted: str = "") -> None:
@@ -59,6 +60,8 @@ class DesignView:
         return sweep(self.task.linkage, self.design.values, angles)
 
     def _whole(self) -> Array:
+        if self.design.swing is not None:
+            return np.asarray(np.linspace(*self.design.swing, POSITIONS)[:: int(self.direction)])
         low, high = sorted((self.begin, self.end))
         ranges = reachable(self.task.linkage, self.design.values)
         if ranges.limits is not None:

@@ -20,6 +20,7 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.motion import sweep
 from optlink.linkage.roberts import Cognate, CouplerLinkage, cognates
+from optlink.linkage.stroke import SEAM, reachable
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.output_errors import error_function
 from optlink.problem.design import DesignProblem
@@ -55,6 +56,7 @@ from optlink.validation.motion import transmission_angles
 from optlink.validation.timing import excursions
 
 if TYPE_CHECKING:
+    from optlink.dynamics.machine import Machine
     from optlink.tasks.analyze import Analysis
     from optlink.validation.cycle import Cycle
 
@@ -401,15 +403,38 @@ class LinkageDesign(Summary):
         begin, end = float(self.crank_angles[0]), float(self.crank_angles[-1])
         return begin, end - begin
 
+    @cached_property
+    def swing(self) -> tuple[float, float] | None:
+        """Ends [rad] of the range in which a crank that need not turn moves; None if it turns, or cannot move so far."""
+        if self.crank_turns or not self.whole.parts or self.task.linkage.limits is not None:
+            return None
+        ends = [end for begin, turned in (part.rotation for part in self.parts) for end in (begin, begin + turned)]
+        low, high = min(ends), max(ends)
+        if not 0.0 < high - low < TURN:
+            return None
+        ranges = reachable(self.task.linkage, self.values)
+        held = (low, high) if ranges.full else ranges.holding(low)
+        return (low, high) if held is not None and high <= held[1] + SEAM else None
+
+    @cached_property
+    def turning(self) -> Machine | None:
+        """The machine if its crank turns fully, else None."""
+        return turning_machine(self.problem, self.values) if self.swing is None else None
+
     @property
     def strokes(self) -> dict[str, Any]:
         """Strokes of every output, as JSON; empty if the crank does not turn fully."""
-        machine = turning_machine(self.problem, self.values)
-        return {} if machine is None else stroke_document(machine, self.rotation[1])
+        return {} if self.turning is None else stroke_document(self.turning, self.rotation[1])
 
-    @cached_property
+    @property
     def least_transmission(self) -> float:
         """Least distance of the transmission angle from 0 and 180 deg over the required motion [rad]; NaN if there is none."""
+        low, high = self.transmission_range
+        return min(low, math.pi - high)
+
+    @cached_property
+    def transmission_range(self) -> tuple[float, float]:
+        """Smallest and largest transmission angle over the required motion [rad], of all dyads; NaN if there is none."""
         begin, end = self.task.linkage.extent
         if self.whole.parts and not self.crank_turns:
             begin, end = float(np.min(self.crank_angles)), float(np.max(self.crank_angles))
@@ -421,8 +446,9 @@ class LinkageDesign(Summary):
 
         grid = np.linspace(begin, end, 721)
         if not groups or not np.all(np.isfinite(cosines(grid))):
-            return math.nan
-        return math.acos(min(float(np.max(np.abs(extremes(cosines, grid, periodic=self.crank_turns)[1]))), 1.0))
+            return math.nan, math.nan
+        ends = np.arccos(np.clip(extremes(cosines, grid, periodic=self.crank_turns)[1], -1.0, 1.0))
+        return float(np.min(ends)), float(np.max(ends))
 
     @cached_property
     def cognates(self) -> tuple[Cognate, ...]:
@@ -456,7 +482,7 @@ class LinkageDesign(Summary):
     def machine(self) -> ProblemFile:
         """The linkage as a problem with every size fixed; its crank starts and turns as the requirement needs."""
         fixed = fixed_design(self.problem, self.values)
-        return started(fixed, *self.rotation) if self.whole.parts else fixed
+        return started(fixed, *self.rotation, self.swing) if self.whole.parts else fixed
 
     @property
     def assembly(self) -> object:
