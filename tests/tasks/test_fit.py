@@ -21,7 +21,7 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import dump
 from optlink.solvers.solution import LimitState
 from optlink.tasks.design import solve, solve as solve_cycle, validate
-from optlink.tasks.results.fit import Fit, PathFit, TransmissionFit, fixed_effects, segment_of, transmission_fit, way_back
+from optlink.tasks.results.fit import Fit, PathFit, TransmissionFit, fit, fixed_effects, segment_of, transmission_fit, way_back
 from tests.stated import document, four_bar_section, free
 
 SIZES = dict.fromkeys(("crank", "coupler", "rocker", "frame"), free(10.0, 300.0))
@@ -649,5 +649,26 @@ def test_the_remedy_between_points_of_a_drawing_is_their_number_and_names_places
     assert segment_of(listed, 1)[1] == "prescribe further points between points 2 and 3, or more weight beside them"
     assert segment_of(sampled, 0) == (
         "(30, 0) and (21.21, 21.21) mm",
-        "take more points of the curve: requirement.points.points = 9",
+        "take more points of the curve: requirement.points.points = 9 in the file, or --set requirement.points.points=9",
     )
+    chord = math.dist((30.0, 0.0), (30.0 * math.cos(0.25 * math.pi), 30.0 * math.sin(0.25 * math.pi)))
+    assert segment_of(sampled, 0, 1e-3 * chord * 0.999)[1].startswith("take more points")
+    assert segment_of(sampled, 0, 1e-3 * chord * 1.001)[1] == "give the curve wider bends near (30, 0) and (21.21, 21.21) mm"
+
+
+def test_a_curve_that_leaves_the_path_between_points_is_explained_by_the_limit_that_holds_it():
+    """Points met badly on account of a limit come before the curve between them; limits without a price worth it do not."""
+    problem = optlink.load("path-bean")
+    task, count = problem.spec, len(problem.spec.data.columns)
+
+    def reasons(price: float, error: float) -> list[str]:
+        limit = LimitState("limits.pivots", "pivot D.y", -20.0, -20.0, "<=", "mm", True, price * 1e-4, 0.0)
+        measured = SimpleNamespace(distances=np.full(count, error), turned=None)
+        solution = SimpleNamespace(displayed_limits=[limit], objective=1e-4)
+        found = fit(problem, task.design({}), np.zeros(count), measured, np.full(count, 0.2), solution)
+        return [one.reason.partition(" ")[0] for one in found.reasons]
+
+    size = max(math.dist(p, q) for p in task.data.columns[:, :2] for q in task.data.columns[:, :2])
+    assert reasons(0.6 / max(20.0, 1e3 * size), 0.03 * size) == ["pivot", "the"]
+    assert reasons(0.4 / max(20.0, 1e3 * size), 0.03 * size) == ["the"]
+    assert reasons(0.6 / max(20.0, 1e3 * size), 1e-4 * size) == ["the"]

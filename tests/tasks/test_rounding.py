@@ -395,6 +395,9 @@ def test_a_large_share_of_a_small_optimum_is_told_with_it():
     found = Rounding({"a": "1 mm"}, {"a": 1.0}, 2e-8, None, naive_valid=False, solved=1, whole=True)
     assert found.ended(2.5e-8, "0.02 mm^2").endswith("; +25 % of 0.02 mm^2 by rounding")
     assert found.ended(2.004e-8, "0.02 mm^2").endswith("; +0.20 % by rounding")
+    assert found.ended(2.1e-7, "0.02 mm^2").endswith("; +950 % of 0.02 mm^2 by rounding")
+    assert found.ended(2.3e-7, "0.02 mm^2").endswith("; 0.02 mm^2 without rounding")
+    assert replace(found, objective=0.0).ended(2.3e-7, "0 mm^2").endswith("; exact without rounding")
 
 
 def test_a_kind_without_sizes_is_refused():

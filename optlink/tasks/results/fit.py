@@ -263,6 +263,7 @@ NEAR = 0.05  # share of the size of the path up to which the rest of the curve i
 REST = math.radians(1.0)  # rotation of the crank up to which an open path leaves no rest of the curve
 MORE_POINTS = 3  # of a drawing: times as many are advised where the curve leaves the drawing between them
 GRADES = ("exact", "good", "fair", "poor")
+SIZEABLE = 0.5  # least share of the objective of a limit's price times its bound, or the size of the path, beside its excursions
 MAX_ACTIVE_LIMITS = 2  # largest number of active limits given as reasons
 
 
@@ -468,13 +469,14 @@ def fit(
     worst = max(fits, key=lambda one: one.share)
     if between is not None and np.any(np.isfinite(between)):
         after = int(np.nanargmax(between))
-        segment, advice = segment_of(task, after)
+        segment, advice = segment_of(task, after, float(between[after]))
         path = PathFit(worst.error, worst.size, worst.unit, worst.of, (), float(between[after]), segment)
         if path.grade != path.at_points:
             reason = (
                 f"the {len(targets)} points are met within {_length(float(np.max(distances)))}, the curve between them is not"
             )
-            return replace(path, reasons=(PoorFitReason(f"{reason} prescribed", advice),))
+            priced = [] if solution is None or path.at_points not in ("fair", "poor") else _sizeable(solution, path.size)
+            return replace(path, reasons=(*active_reasons(priced), PoorFitReason(f"{reason} prescribed", advice)))
     if worst.grade != "poor":
         return worst
     reasons = [
@@ -490,10 +492,11 @@ def fit(
     return Fit(worst.error, worst.size, worst.unit, worst.of, tuple(reasons))
 
 
-def segment_of(task: DesignProblem, after: int) -> tuple[str, str]:
+def segment_of(task: DesignProblem, after: int, excursion: float = 0.0) -> tuple[str, str]:
     """Return the names of a point, by its index, and of the next one, and how to prescribe the curve between them.
 
-    Points that were sampled from a curve have no names in the file, but places.
+    Points that were sampled from a curve have no names in the file, but places. More of them are no remedy for an `excursion` [m]
+    longer than their distance: the curve has a loop there, for which there is room between denser points as well.
     """
     points, data = task.data.columns, task.target_points
     ends = [after, (after + 1) % len(points)]
@@ -502,8 +505,10 @@ def segment_of(task: DesignProblem, after: int) -> tuple[str, str]:
         return segment, f"prescribe further points between {segment}, or more weight beside them"
     segment = " and ".join(f"({', '.join(f'{1e3 * value:z.4g}' for value in points[end, :2])})" for end in ends) + " mm"
     more = min(MAX_POINTS, MORE_POINTS * len(points))
-    dense = "take more points of the curve: requirement.points.points = "
-    return segment, f"{dense}{more}" if more > len(points) else f"give the curve wider bends near {segment}"
+    if more == len(points) or excursion > math.dist(*points[ends, :2]):
+        return segment, f"give the curve wider bends near {segment}"
+    key = "requirement.points.points"
+    return segment, f"take more points of the curve: {key} = {more} in the file, or --set {key}={more}"
 
 
 def _sized(errors: Array, size: float, unit: str, of: str, links: Sequence[float] = ()) -> Fit:
@@ -587,6 +592,15 @@ def _placed(task: DesignProblem, values: Mapping[str, float], measured: Measured
         gain = f"moved as a whole, this linkage has an rms error of {_length(moved)} instead of {_length(error)}"
         keys = ["mechanism.pivot"] * pivot + ["mechanism.direction"] * turn
         yield PoorFitReason(f"{' and '.join(fixed)}; {gain}", f"free {' and '.join(keys)} by bounds")
+
+
+def _sizeable(solution: Solution, size: float) -> list[LimitState]:
+    """Return the active limits with a sizeable price for a path of a size [m]."""
+    return [
+        limit
+        for limit in solution.displayed_limits
+        if limit.effect * max(abs(limit.bound), 1e3 * size * (limit.unit == "mm")) >= SIZEABLE * solution.objective
+    ]
 
 
 def active_reasons(limits: Sequence[LimitState]) -> Iterator[PoorFitReason]:

@@ -10,6 +10,7 @@ from optlink.problem.document import Number
 from optlink.units import percent
 
 EXACT = 1e-9  # share of the rounded objective: an optimum below it is exact but for the digits of the computer
+MANIFOLD = 10.0  # share lost beyond which it says nothing but that the optimum is nearly zero
 TOLD = 0.01  # share lost from which the optimum is told beside it: it may be nearly zero
 
 
@@ -85,5 +86,6 @@ class Rounding:
         share = self.loss(objective)
         digits = min(max(1 - math.floor(math.log10(abs(100.0 * share))), 0), 4) if share and math.isfinite(share) else 0
         of = f" of {optimum}" if share > TOLD else ""
-        lost = f"{percent(share, digits, signed=True)}{of} by rounding" if math.isfinite(share) else "exact without rounding"
+        exact = optimum if math.isfinite(share) else "exact"
+        lost = f"{percent(share, digits, signed=True)}{of} by rounding" if share <= MANIFOLD else f"{exact} without rounding"
         return f"grid of {self.text}, valid as built; {found}; {lost}"
