@@ -611,9 +611,9 @@ def _equal_strokes(limit: RatioOfStrokes) -> bool:
     return all(side is not None and bool(np.all(np.asarray(side) == 1.0)) for side in (limit.low, limit.high))
 
 
-def _ratios(lengths: Sequence[Value]) -> list[Value]:
-    """Return the lengths of crank, coupler and rocker over that of the frame."""
-    return [length / lengths[3] for length in lengths[:3]]
+def _ratios(lengths: Sequence[Value]) -> list[tuple[str, Value]]:
+    """Return the lengths of crank, coupler and rocker over that of the frame, with their names."""
+    return [(f"{name} / frame", length / lengths[3]) for name, length in zip(LENGTHS[:3], lengths[:3], strict=True)]
 
 
 def _ratio_label(limit: Any) -> str:
@@ -647,8 +647,8 @@ _BUILT_IN = (  # their keys, with their descriptions, are those of `Limits`
     LimitTerm(
         "link_ratio",
         NumberInterval,
-        lambda problem, sizes, reach, _: (("moving link / frame", ratio) for ratio in _ratios(problem.four_bar.lengths(sizes))),
-        lambda moved, _: zip((f"{name} / frame" for name in LENGTHS[:3]), _ratios(moved.lengths), strict=True),
+        lambda problem, sizes, reach, _: _ratios(problem.four_bar.lengths(sizes)),
+        lambda moved, _: _ratios(moved.lengths),
         possible=(0.0, math.inf),
         example="[0.2, 5.0]",
     ),

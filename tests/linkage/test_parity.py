@@ -607,7 +607,7 @@ def test_bounds_of_the_rows_are_the_limits_of_the_file():
     assert displayed("swing angle") == (pytest.approx(1.0, rel=1e-12), pytest.approx(170.0, rel=1e-12))
     assert displayed("time ratio") == (-math.inf, 1.5)
     assert displayed("frame length") == (pytest.approx(1.0, rel=1e-12), pytest.approx(9000.0, rel=1e-12))
-    assert displayed("moving link / frame") == (0.01, 9.0)
+    assert displayed("crank / frame") == displayed("rocker / frame") == (0.01, 9.0)
     assert displayed("crank <= rocker")[1] == displayed("crank + frame <=")[1] == math.inf
     (row,) = (row for label, row in result.items() if "crank + frame <=" in label)
     slack = design["coupler"] + design["rocker"] - design["crank"] - design["frame"]

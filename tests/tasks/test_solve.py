@@ -163,7 +163,7 @@ PRICES = [
         "swing angle of the rocker",
     ),
     ({"limits.time_ratio": 1.2}, "limits.time_ratio", "", lambda b: b, "time ratio"),
-    ({"limits.link_ratio": [0.1, 0.8]}, "limits.link_ratio", "", lambda b: [0.1, b], "moving link / frame"),
+    ({"limits.link_ratio": [0.1, 0.8]}, "limits.link_ratio", "", lambda b: [0.1, b], "coupler / frame"),
     (
         {"mechanism.coupler": {"start": "380 mm", "bounds": ["100 mm", "400 mm"]}},
         "mechanism.coupler.bounds",

@@ -32,16 +32,17 @@ MAX_POSES = 8  # largest number of poses in which the body is drawn
 
 
 def _turning(axes: Axes, view: DesignView, pose: Motion) -> None:
-    """Draw an arrow on the crank circle in the direction of rotation."""
+    """Draw an arrow on the crank circle in the direction of rotation, at the end of a range that of the way back."""
     crank = view.sketch.mechanism.crank
     pivot, pin = (view.sketch.position(pose, name)[0] for name in (crank.start, crank.end))
     arm = pin - pivot
     radius = max(float(np.linalg.norm(arm)), 1.7 * view.sketch.size)
     start = math.atan2(arm[1], arm[0])
-    turn = min(math.radians(50.0), 5.0 * view.sketch.size / radius)
+    turn, sense = min(math.radians(50.0), 5.0 * view.sketch.size / radius), view.direction
     if not view.design.crank_turns:
         turn = min(turn, 0.8 * abs(view.end - view.begin))
-    angles = start + view.direction * np.linspace(0.25 * turn, 1.25 * turn, 33)
+        sense = sense if sense * (view.end - pose.crank_angle[0]) >= 1.25 * turn - 1e-9 else -sense
+    angles = start + sense * np.linspace(0.25 * turn, 1.25 * turn, 33)
     arc = pivot + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     arrow = FancyArrowPatch(path=Outline(arc), arrowstyle="-|>", mutation_scale=11.0, linewidth=1.5, color=CRANK)
     arrow.set(zorder=3.9, gid="turning")
