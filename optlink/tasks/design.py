@@ -403,10 +403,6 @@ class SearchRounds:
             self.exact_solutions = targets.summary
             for variant, design in targets.usable:
                 self.collection.take(polisher.from_values(variant, design.values, design.crank_angles, close=True))
-                if (exact := polisher.itself(variant, design.values, design.crank_angles)).valid:
-                    self.collection.insert(
-                        exact
-                    )  # from a bound the local search may lead to another exact design, and a worse one
                 self.given += 1
         for variant, file in enumerate(self.files):
             task = file.spec
