@@ -91,7 +91,7 @@ def test_nine_points_of_wampler_morgan_and_sommese_have_their_real_triples(point
 
 @pytest.mark.slow
 def test_nine_points_of_an_ellipse_have_120_real_triples_and_fewer_complex_ones(monkeypatch):
-    """Problem 4 of the same authors: equal steps of x; the curve is special, which is told as missing ones."""
+    """Problem 4 of the same authors: equal steps of x; the curve is special, and the shortfall is stated."""
     monkeypatch.setattr(poses_and_points, "ROUTES", 1)
     x = np.linspace(1.0, 0.0, 9)
     found = four_bars(x + 2j * np.sqrt(1.0 - x * x))

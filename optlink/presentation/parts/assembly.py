@@ -147,7 +147,7 @@ def _balloons(targets: Array, heads: Sequence[_Thing], within: Array) -> Iterato
 
 
 def _around(targets: Array, heads: Sequence[_Thing], within: Array, sides: str) -> tuple[float, Array]:
-    """Return what it costs to place balloons at some sides of a box, each at the nearest one, and their middles (n, 2)."""
+    """Return the cost of placing balloons at some sides of a box, each at the nearest one, and their middles (n, 2)."""
     (left, bottom), (right, top) = within + 3.0 * BALLOON * np.array([[-1.0], [1.0]])
     lines = {"l": (0, left), "r": (0, right), "t": (1, top), "b": (1, bottom)}
     away = np.abs([targets[:, lines[side][0]] - lines[side][1] for side in sides])

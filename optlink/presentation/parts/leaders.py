@@ -16,7 +16,7 @@ from optlink.presentation.parts.view import GAP, TEXT, Item, Line, Measure, Word
 
 CHORDS = 24  # of a circle that a leader may cross
 DIRECTIONS = np.radians([15.0, 30.0, 45.0, 60.0, 75.0])  # of leaders, in each quadrant
-STEEP, SLANT = math.radians(60.0), 4.0  # the usual direction, and what a quarter turn from it costs [mm]
+STEEP, SLANT = math.radians(60.0), 4.0  # the usual direction, and the cost [mm] of a quarter turn from it
 DOWN, BACK = 12.0, 4.0  # costs [mm] of a leader that goes down, where the dimensions are, and of one to the left
 AROUND = 2.5  # least room around a text
 LENGTHS = np.array([7.0, 10.0, 14.0, 19.0, 25.0, 33.0, 45.0, 60.0, 80.0, 110.0, 150.0])  # of leaders
