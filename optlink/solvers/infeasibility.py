@@ -44,7 +44,7 @@ EXCHANGES, FOLLOWED = 5, 1e-4  # rounds of the exchange method, and the violatio
 
 @dataclass(frozen=True)
 class LimitSide:
-    """One side of one limit: the rows (and bounds) that share it."""
+    """One side of one limit: the rows (and bounds) that share one number of the problem file, or one condition."""
 
     key: str
     name: str
@@ -59,6 +59,11 @@ class LimitSide:
     def sense(self) -> str:
         """Sense in display units: "<=", ">=" or "="."""
         return "=" if self.equation else "<=" if self.upper != self.scale.cosine else ">="
+
+    def nearest(self, nlp: NLP, g: Array) -> "LimitSide":
+        """Return the side under the name of that of its rows which is furthest beyond it at a design with the values g."""
+        beyond = {nlp.rows[j].label: (g[j] - self.bound) * (1.0 if self.upper else -1.0) for j in reversed(self.rows)}
+        return replace(self, name=max(beyond, key=beyond.__getitem__)) if np.all(np.isfinite(g)) and beyond else self
 
     def displaced(self, amount: float) -> float:
         """Return the bound moved outward by an amount, in display units; an angle between 0 and 180 deg for a cosine."""
@@ -87,9 +92,9 @@ class Limit:
 
     def relaxations(self, slacks: Array, nlp: NLP, x: Array, p: Array, approximate: bool) -> list[Relaxation]:
         """Return the relaxation of each side that a design x needs, from the slack of each; infinite slacks do not suffice."""
-        slacks_by_side = list(zip(self.sides, slacks.tolist(), strict=True))
+        g = nlp.values(x, p)[1]
+        slacks_by_side = [(side.nearest(nlp, g), slack) for side, slack in zip(self.sides, slacks.tolist(), strict=True)]
         if len(slacks_by_side) > 1 and np.all(np.isfinite(slacks)):
-            g = nlp.values(x, p)[1]
             over = [max((g[j] - side.bound) * (1.0 if side.upper else -1.0) for j in side.rows) for side in self.sides]
             needed = [pair for pair, excess in zip(slacks_by_side, over, strict=True) if excess > FEASIBLE_SLACK]
             slacks_by_side = needed or slacks_by_side
@@ -97,22 +102,24 @@ class Limit:
 
 
 def limit_sides(nlp: NLP) -> list[LimitSide]:
-    """Return every side of every limit that can conflict; rows of one limit and one side are combined.
+    """Return every side of every limit that can conflict; rows of one number of the problem file and one side are combined.
+
+    Limits at zero are conditions: those of one key are told apart by their labels.
 
     Bounds of variables without influence on any limit are left out, as are bounds of an angle over a full revolution.
     """
-    sides: dict[tuple[str, str, bool], list[int]] = {}
+    sides: dict[tuple[str, str | float, bool], list[int]] = {}
     for j, row in enumerate(nlp.rows):
         if row.limit == EPIGRAPH or row.limit in nlp.states:
             continue
         for upper, bound in ((False, row.low), (True, row.high)):
             if math.isfinite(bound):
-                sides.setdefault((row.limit, row.label, upper), []).append(j)
+                sides.setdefault((row.limit, bound or row.label, upper), []).append(j)
     result = []
-    for (key, name, upper), rows in sides.items():
+    for (key, _, upper), rows in sides.items():
         row = nlp.rows[rows[0]]
         bound, equation = row.high if upper else row.low, row.low == row.high
-        result.append(LimitSide(key, name, upper, tuple(rows), (), bound, row.scale, equation))
+        result.append(LimitSide(key, row.label, upper, tuple(rows), (), bound, row.scale, equation))
     indices = [j for j, row in enumerate(nlp.rows) if row.limit != EPIGRAPH]
     used = casadi.which_depends(nlp.g_expression[indices], nlp.x_symbol, 1, False) if indices else [False] * len(nlp.variables)
     for i, variable in enumerate(nlp.variables):
