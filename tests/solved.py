@@ -21,7 +21,7 @@ from optlink.tasks.design import SynthesisTask
 from optlink.tasks.protocol import Search
 from optlink.tasks.results.balance import Balance
 
-Solution = optlink.SynthesisResult | optlink.SynthesisResult | Balance
+Solution = optlink.SynthesisResult | Balance
 FOLDER: list[Path] = []
 """Folder of this run that all its processes share; none if it has one process. Set by `conftest.py`."""
 

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
+from optlink.errors import Status
 from optlink.presentation import terminal
 from optlink.presentation.html.page import page
 from optlink.presentation.report_model import ReportModel
@@ -21,6 +22,7 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import dump
 from optlink.solvers.solution import LimitState
 from optlink.tasks.design import solve, solve as solve_cycle, validate
+from optlink.tasks.results.certificate import message, verdict_words
 from optlink.tasks.results.fit import Fit, PathFit, TransmissionFit, fit, fixed_effects, segment_of, transmission_fit, way_back
 from tests.stated import document, four_bar_section, free
 
@@ -135,6 +137,20 @@ def test_a_law_is_graded_by_its_output_range() -> None:
 
 
 @pytest.mark.slow
+def test_an_exact_design_is_optimal_without_a_certificate(star) -> None:
+    """Nothing is less than zero; with an error, or another objective beside it, an optimum is a local one."""
+    task = SimpleNamespace(spec=SimpleNamespace(composed=False))
+    none_better = type(star).none_better.fget
+    assert none_better(SimpleNamespace(valid=True, fit=Fit(1e-12, 0.4, "m", "the path"), problem=task))
+    assert not none_better(SimpleNamespace(valid=False, fit=Fit(1e-12, 0.4, "m", "the path"), problem=task))
+    assert not none_better(SimpleNamespace(valid=True, fit=PathFit(1e-12, 0.4, "m", "the path", (), 0.1), problem=task))
+    task.spec.composed = True
+    assert not none_better(SimpleNamespace(valid=True, fit=Fit(1e-12, 0.4, "m", "the path"), problem=task))
+    assert str(star).splitlines()[1].startswith("locally optimal, valid, poor fit")
+    assert verdict_words(Status.OPTIMAL, True, None, none_better=True) == ("optimal", "valid")
+    assert message(Status.OPTIMAL, None, "", none_better=True).startswith("globally optimal: the design is exact to rounding")
+
+
 def test_verdict_and_json_contain_the_grade(tmp_path) -> None:
     section = four_bar_section("left", **SIZES, points=SPOT, pivot=None, direction=None)
     file = tmp_path / "star.toml"

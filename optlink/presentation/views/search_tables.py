@@ -304,7 +304,7 @@ def search_summary(
     opposed, priced = conflict(outcome.conflict, outcome.together) if outcome.conflict else None, None
     if best.solution is not None and best.status != Status.INFEASIBLE:  # elsewhere multipliers are not prices
         priced = active(model, best.objective, best.solution.displayed_limits)
-    verdict = [*refuted_first(outcome), *graded_status(search_verdict(best.status, best.valid, proof), best, tail)]
+    verdict = [*refuted_first(outcome), *graded_status(search_verdict(outcome, best), best, tail)]
     notes, checked = [*noted(outcome.notes)], checks(best.validation.checks)
     proven = certificate_lines(proof)
     single = outcome.message == Status.OPTIMAL.text and outcome.starts == 1 and not best.exact
@@ -360,7 +360,7 @@ def _influences(rounding: Rounding) -> TableSpec | None:
 
 def reached(outcome: SynthesisResult, evidence: Evidence) -> str:
     """Return how many starts reached the best value; nothing if its optimality is proven, or without a search."""
-    if outcome.starts < 2 or not outcome.valid or certified(outcome.certificate):
+    if outcome.starts < 2 or not outcome.valid or outcome.none_better or certified(outcome.certificate):
         return ""
     distinct = f", {evidence.optima} distinct values" if evidence.optima > 1 else ""
     return f"{evidence.hits} of {outcome.starts} starts reached the best value{distinct}; {evidence.chance}"
@@ -381,10 +381,10 @@ def refuted_first(outcome: SynthesisResult) -> Iterator[Line]:
         yield [bad(outcome.refuted)]
 
 
-def search_verdict(status: Status, valid: bool, certificate: Certificate | None) -> list[Inline]:
+def search_verdict(outcome: SynthesisResult, best: Any) -> list[Inline]:
     """Return how a search ended, and its verdict; an infeasible problem has one phrase for both."""
-    ended, *judged = verdict_words(status, valid, certificate)
-    return [f"{ended}, ", verdict(judged[0], valid)] if judged else [bad(ended)]
+    ended, *judged = verdict_words(best.status, best.valid, outcome.certificate, none_better=outcome.none_better)
+    return [f"{ended}, ", verdict(judged[0], best.valid)] if judged else [bad(ended)]
 
 
 def graded_status(line: Sequence[Inline], best: Any, tail: str) -> Iterator[Line]:

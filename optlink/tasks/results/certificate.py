@@ -30,18 +30,19 @@ from optlink.version import VERSION
 GLOBAL, WITHIN_GAP, NOT_CLOSED, INFEASIBLE = "global", "within gap", "not closed", "infeasible"
 EXACT = 1e-9  # rms deviation [rad], or share of the curve, below which a design is exact: none can be better
 GLOBAL_GAP = 1e-6  # largest relative gap of a design that is called globally optimal
+NONE_BETTER = "globally optimal: the design is exact to rounding, and no design can be better"
 SCHEMA = "optlink/certificate/2"
 
 
-def verdict_words(status: Status, valid: bool, certificate: Certificate | None) -> tuple[str, ...]:
+def verdict_words(status: Status, valid: bool, certificate: Certificate | None, *, none_better: bool = False) -> tuple[str, ...]:
     """Return how a search ended, and whether its design is valid; an infeasible problem has one phrase for both.
 
-    Without a closed certificate an optimum is a local one.
+    Without a closed certificate an optimum is a local one, unless its error is zero to rounding (`none_better`).
     """
     if status is Status.INFEASIBLE:
         return ("no feasible design" if certificate is not None and certificate.closed else "no feasible design found",)
     ended = "given design" if status is Status.NOT_SEARCHED else status.value
-    if status is Status.OPTIMAL and (certificate is None or not certificate.proven):
+    if status is Status.OPTIMAL and not none_better and (certificate is None or not certificate.proven):
         ended = "locally optimal"
     return ended, "valid" if valid else "not valid"
 
@@ -178,7 +179,7 @@ class Certificate:
         if not math.isfinite(self.objective):
             return f"not closed: no feasible design is known, {count_noun(self.open_boxes, 'box is', 'boxes are')} left"
         if self.exact:
-            return "globally optimal: the design is exact to rounding, and no design can be better"
+            return NONE_BETTER
         share = share_text(self.gap)
         if self.proven:
             return f"globally optimal within the bounds: no design is better by more than {share}"
@@ -194,12 +195,12 @@ class Certificate:
         return f"{'globally optimal within' if self.proven else 'gap'} {share_text(self.gap)}"
 
 
-def message(status: Status, certificate: Certificate | None, refuted: str) -> str:
+def message(status: Status, certificate: Certificate | None, refuted: str, *, none_better: bool = False) -> str:
     """Describe how a search ended: by its certificate where that proves more than the status of the local search.
 
-    `refuted` states which limits exclude each other, if it is known.
+    `none_better`: the error is zero to rounding; `refuted` states which limits exclude each other, if it is known.
     """
-    proof = certificate.text if certificate is not None and certificate.closed else ""
+    proof = certificate.text if certificate is not None and certificate.closed else NONE_BETTER * none_better
     if refuted:
         return f"{refuted}{f' {proof[:1].upper()}{proof[1:]}.' if proof else ''}"
     return f"{proof or status.text}{'; relax a limit whose check fails' * (status == Status.INFEASIBLE)}"

@@ -659,12 +659,18 @@ class SynthesisResult(Document):
             return self.rounding.ended(self.objective if self.designs else math.nan, optimum)
         if self.exact_solutions is not None and self.backend == NO_SEARCH:
             return self.exact_solutions.sentence
-        return message(self.status, self.certificate, self.refuted)
+        return message(self.status, self.certificate, self.refuted, none_better=self.none_better)
 
     @property
     def valid(self) -> bool:
         """Whether there is a validated design."""
         return bool(self.designs)
+
+    @property
+    def none_better(self) -> bool:
+        """Whether the error that is minimised is zero to rounding, so that no design can be better."""
+        fit = self.fit if self.valid and not self.problem.spec.composed else None
+        return fit is not None and fit.grade == "exact"
 
     @property
     def best(self) -> LinkageDesign | None:
@@ -747,7 +753,7 @@ class SynthesisResult(Document):
         return Status.NOT_SEARCHED if self.exact_solutions is not None and self.exact_solutions.special else Status.INFEASIBLE
 
     def _verdict(self) -> tuple[str, ...]:
-        return verdict_words(self.status, self.valid, self.certificate)
+        return verdict_words(self.status, self.valid, self.certificate, none_better=self.none_better)
 
     @property
     def objective(self) -> float:
