@@ -82,6 +82,13 @@ def test_limits_and_bounds_are_reasons():
     assert any("rotation: the crank turns counter-clockwise" in one.reasons for one in ways[0].exact_solutions.solutions)
 
 
+def test_a_crank_that_turns_in_another_inversion_is_told():
+    file = optlink.load("motion-5-poses").override({"limits.crank": "double-crank"})
+    reasons = {reason for one in optlink.synthesis.exact(file).exact_solutions.solutions for reason in one.reasons}
+    assert "crank: turns fully, but it is that of a crank-rocker; a double-crank is required" in reasons
+    assert "crank: does not turn fully (triple-rocker (non-Grashof))" in reasons
+
+
 def test_a_search_begins_with_the_exact_solutions(tmp_path):
     result = optlink.solve(optlink.load(POSES / "known-0.toml"), designs=4)
     assert [math.degrees(design.least_transmission) for design in result.designs] == pytest.approx(
