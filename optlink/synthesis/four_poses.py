@@ -33,6 +33,7 @@ AT_POLE = "a given {} lies at the pole of poses {} and {}, so that its dyads hav
 NEAR_POLE = (
     "a given {} lies near the pole of poses {} and {}: errors of the poses move the other end of its dyad {:.1g} times as far"
 )
+CLOSER = 12  # times that a row is sought between its neighbours, each time 16 times as closely
 AT = 1e-9  # distance from a pole, in units of the displacement, that is rounding
 NEAR = 1e-3  # one below which the dyad depends on the last digits of the poses
 FARTHEST = 10.0  # largest distance of points along the line of two poses, by the larger one of their displacement and of `reach`
@@ -75,6 +76,15 @@ class DyadCurves:
         high, share = np.minimum(low + 1, len(self.homogeneous[0]) - 1), (rows - low)[:, None]
         one, other = ((1.0 - share) * part[low] + share * part[high] for part in self.homogeneous)
         return self._placed((one, other))
+
+    def row_of(self, point: complex, pivot: complex) -> float:
+        """Return the row, between whole ones too, of the dyad that is nearest to a point of the body and a pivot [m]."""
+        rows, step = np.arange(float(len(self.points))), 1.0
+        for _ in range(CLOSER):
+            points, pivots = self.between(rows)
+            row = float(rows[np.nanargmin(np.abs(points - point) + np.abs(pivots - pivot))])
+            rows, step = row + step * np.linspace(-1.0, 1.0, 33), step / 16.0
+        return row
 
     def _placed(self, homogeneous: tuple[Array, Array]) -> tuple[Complex, Complex]:
         found = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -111,24 +111,30 @@ def _sides(task: DesignProblem) -> tuple[DyadCurves, DyadCurves] | None:
     if isinstance(begin, Arm) or any(task.quantities[name].equals for name in (frame if fixed else body)):
         return None
 
+    columns, joints = task.data.columns, joints_at(task, values)
+    places, angles = columns[:, 0] + 1j * columns[:, 1], np.unwrap(pose_angles(columns))
+    one, other = joints[:2] if fixed else joints[2:]
+    crank, rocker = (dyads_of_joint(places, angles, joint, fixed=fixed, reach=abs(other - one)) for joint in (one, other))
+    return crank, rocker
+
+
+def joints_at(task: DesignProblem, values: Mapping[str, float]) -> tuple[complex, complex, complex, complex]:
+    """Return pivots and moving points [m] of a four-bar of quantities [SI] at the first pose, those of the crank first."""
+    loop = task.four_bar
+    assert loop is not None
+    (begin, end), columns = loop.pivots, task.data.columns
+    assert not isinstance(begin, Arm)
+
     def size(part: Any) -> float:
         return float(values[part] if isinstance(part, str) else part)
 
-    columns = task.data.columns
-    places, angles = columns[:, 0] + 1j * columns[:, 1], np.unwrap(pose_angles(columns))
-    end, one = loop.pivots[1], complex(*map(size, begin))
-    if not fixed:
-        backwards = loop.coupler.start != loop.pin
-        way = cmath.exp(1j * (float(angles[0]) - values[MARK]))  # from the start of the coupler to its end
-        along, beside = way * size(loop.coupler.length), way * complex(size(mark.along), size(mark.across))
-        one, other = complex(places[0]) - beside, complex(places[0]) - beside + along
-        one, other = (other, one) if backwards else (one, other)
-    elif isinstance(end, Arm):
-        other = one + cmath.rect(size(end.length), size(end.direction))
-    else:
-        other = complex(*map(size, end))
-    crank, rocker = (dyads_of_joint(places, angles, joint, fixed=fixed, reach=abs(other - one)) for joint in (one, other))
-    return crank, rocker
+    pivot = complex(*map(size, begin))
+    fixed = pivot + cmath.rect(size(end.length), size(end.direction)) if isinstance(end, Arm) else complex(*map(size, end))
+    mark = task.linkage.marks[loop.coupler.body, task.point]
+    way = cmath.exp(1j * (float(pose_angles(columns)[0]) - values[MARK]))  # from the start of the coupler to its end
+    start = complex(*columns[0, :2]) - way * complex(size(mark.along), size(mark.across))
+    ends = (start, start + way * size(loop.coupler.length))
+    return (pivot, fixed, *ends) if loop.coupler.start == loop.pin else (pivot, fixed, *ends[::-1])
 
 
 def _spread(side: DyadCurves, most: int) -> Array:
@@ -144,7 +150,7 @@ class FourTargets(FiveTargets):
     `files`: the problem with definite assembly modes.
     """
 
-    def __init__(self, files: Sequence[ProblemFile], goal: Goal | None = None, chosen: tuple[int, int] | None = None) -> None:
+    def __init__(self, files: Sequence[ProblemFile], goal: Goal | None = None, chosen: tuple[float, float] | None = None) -> None:
         self.family = family_of(files[0].spec)
         self.curves, self.followers = self.family.drivers, self.family.followers
         self.chosen = chosen
@@ -156,7 +162,7 @@ class FourTargets(FiveTargets):
         """Return how many linkages meet the targets, and varied ones that do so within the bounds, best first."""
         curves, task = self.curves, self.task
         for row in self.chosen or ():
-            if not 0 <= row < len(curves.points) or np.isnan(curves.points[row, 0]):
+            if not 0 <= row < len(curves.points) or np.isnan(curves.between(np.array([row]))[0][0]):
                 message = curves.special or "no dyad of finite lengths"
                 raise InputError(message, "Give a row of `dyad_curves`", self.files[0].file, "driver, follower", row)
         note = "; ".join(dict.fromkeys(filter(None, (curves.note, self.followers.note))))
@@ -414,15 +420,15 @@ def dyad_curves(problem: AnyProblem) -> DyadCurves:
 
 
 @typed
-def four_bar_of_dyads(problem: AnyProblem, driver: int, follower: int) -> SynthesisResult:
+def four_bar_of_dyads(problem: AnyProblem, driver: float, follower: float) -> SynthesisResult:
     """Join two dyads of four poses to a four-bar, and validate it.
 
     Parameters
     ----------
     problem : ProblemFile, str or Path
         A four-bar for four poses with free timing, all dimensions of which are design variables.
-    driver, follower : int
-        Rows of the dyads in `dyad_curves`.
+    driver, follower : float
+        Rows of the dyads in `dyad_curves`; between whole ones lie the dyads between them.
 
     Returns
     -------
