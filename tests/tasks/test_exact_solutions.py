@@ -112,7 +112,7 @@ def test_a_file_may_want_exact_designs_alone():
     file = optlink.load(POSES / "known-0.toml").override({"requirement.exact": True})
     result = optlink.solve(file)
     assert (result.backend, result.starts, len(result.designs)) == ("none", 0, 4)
-    with pytest.raises(optlink.InputError, match="listed exact solutions"):
+    with pytest.raises(optlink.InputError, match="no list of exact solutions of 3 poses"):
         optlink.solve(optlink.load("motion-3-poses").override({"requirement.exact": True}))
 
 
@@ -367,7 +367,7 @@ def test_a_repeated_point_is_told():
 
 
 def test_problems_of_other_kinds_are_refused():
-    with pytest.raises(optlink.InputError, match="listed exact solutions"):
+    with pytest.raises(optlink.InputError, match="no list of exact solutions of 3 poses"):
         optlink.synthesis.exact("motion-3-poses")
 
 

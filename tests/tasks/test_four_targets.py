@@ -197,6 +197,19 @@ def test_three_precision_points_equal_the_equations_of_freudenstein():
     assert result.exact_solutions.solutions[0].between > 0.0
 
 
+def test_positions_that_have_no_list_are_refused_with_what_has_one():
+    for count, changes, words in (
+        (2, {}, "no list of exact solutions of 2 positions. Give 4 or 5 positions"),
+        (4, {"requirement.psi0": "90 deg"}, "of 4 positions with psi0 given"),
+        (6, {}, "of 6 positions"),
+    ):
+        file = optlink.read(LOG).override({"requirement.points": count, **changes})
+        with pytest.raises(optlink.InputError, match=words):
+            optlink.synthesis.exact(file)
+    two = optlink.solve(optlink.read(LOG).override({"requirement.points": 2}), starts=4)  # as the remedy says
+    assert two.best.exact
+
+
 SAID = [
     ([0, 20, 40, 60, 80], [0, 20, 40, 60, 80], "five points of a function: the output turns as the crank does"),
     ([0, 20, 40, 60], [0, 20, 40, 60], "four points of a function: the output turns as the crank does"),
