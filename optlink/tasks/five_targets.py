@@ -33,7 +33,7 @@ THREE = 3
 CONDITIONS = 10  # of five poses with free timing or five timed points, on as many design variables of a four-bar
 OTHER_START = 1e-6  # rad or m; of the start of a linkage from the one given, which differs by half a turn otherwise
 TRIALS = ((0.3, 0.5), (1.1, -0.4))  # starts [rad], crank and output, with which a law must rise by the same
-GRASHOF, BOUNDED = "Grashof: ", " within its bounds"  # names of checks
+GRASHOF, TURNS, BOUNDED = "Grashof: ", "crank turns ", " within its bounds"  # names of checks
 CRANKS = ("crank-rocker", "double-crank")  # whose cranks turn fully, the first by default
 
 
@@ -282,9 +282,7 @@ def _other_starts(task: DesignProblem, values: Mapping[str, float]) -> Iterator[
 
 def _failures(design: LinkageDesign) -> Iterator[str]:
     """Yield the checks that a design fails, as reasons; without those that only follow from a crank that does not turn."""
-    angles, task = design.crank_angles, design.task
-    if task.data.offsets is None and math.copysign(1.0, angles[-1] - angles[0]) not in task.ways:
-        yield f"rotation: the crank turns {'' if angles[-1] < angles[0] else 'counter-'}clockwise"
+    task = design.task
     for check in design.validation.failures:
         stated = f"{check.value:.4g} {check.unit}".rstrip()
         if check.name.startswith(GRASHOF):
@@ -295,6 +293,8 @@ def _failures(design: LinkageDesign) -> Iterator[str]:
                 yield f"crank: turns fully, but it is that of a {kind}; a {asked} is required"
             else:
                 yield f"crank: does not turn fully ({kind})"
+        elif check.name.startswith(TURNS):
+            yield f"rotation: the crank does not turn {check.name.removeprefix(TURNS)}"
         elif check.name.endswith(BOUNDED):
             yield f"outside your bounds: {check.name.removesuffix(BOUNDED)} {stated}, allowed {check.limit}"
         elif not math.isnan(check.value):

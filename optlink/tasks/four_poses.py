@@ -213,7 +213,7 @@ class FourTargets(FiveTargets):
             met = sorted(
                 (np.mean(np.broadcast_to(met, passing.shape)[passing]), name) for name, met in _conditions(self.files, found)
             )[:MOST_CAUSES]
-            excluded = ", ".join(f"{name} {1.0 - share:z.0%}" for share, name in met if share < 1.0)
+            excluded = ", ".join(f"{name} ({1.0 - share:z.0%})" for share, name in met if share < 1.0)
             self.sentence += f"; of those that pass, these exclude: {excluded}"
         measure = self._score(found)
         near_crank, near_rocker = (max(1, round(APART * len(side))) for side in (cranks, rows))

@@ -66,7 +66,7 @@ def test_limits_and_bounds_are_reasons():
         one.values["rocker"] > 0.1 and not {"branch", "order", "circuit"} & {*one.reasons}
         for one in tight.exact_solutions.solutions
     )
-    assert tight.exact_solutions.reasons["outside your bounds (rocker 2 ... 100)"] == outside > 0
+    assert tight.exact_solutions.reasons["outside your bounds (rocker 2 ... 100 mm)"] == outside > 0
     assert any(
         one.reasons == ("outside your bounds: rocker 210.2 mm, allowed 2 ... 100",) for one in tight.exact_solutions.solutions
     )
@@ -79,7 +79,7 @@ def test_limits_and_bounds_are_reasons():
     assert sum('assembly: it needs "right"' in one.reasons for one in left.exact_solutions.solutions) > 1
     ways = [optlink.synthesis.exact(file.override({"requirement.rotation": way})) for way in ("clockwise", "counter-clockwise")]
     assert sum(one.exact_solutions.usable for one in ways) == 4
-    assert any("rotation: the crank turns counter-clockwise" in one.reasons for one in ways[0].exact_solutions.solutions)
+    assert any(one.reasons == ("rotation: the crank does not turn clockwise",) for one in ways[0].exact_solutions.solutions)
 
 
 def test_a_crank_that_turns_in_another_inversion_is_told():
