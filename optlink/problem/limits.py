@@ -281,7 +281,7 @@ class Limits(Section):
     """Least difference of lengths of a four-bar that must not be equal (Grashof's sums; crank and coupler at an inner dead
     centre), relative to the longest link."""
     crank: Literal["full rotation", "double-crank", "span"] = "full rotation"
-    """Crank rotation: full (a four-bar is then a crank-rocker or a double-crank), or only over the span of the requirement."""
+    """Crank rotation: full (of a four-bar that is a crank-rocker), that of a double-crank, or over the required span alone."""
     transmission_angle: AnglesOfJoints | None = None
     """Range of the transmission angle of every dyad; of a four-bar, between coupler and rocker. A table states the ranges of
     single dyads by their joints, `{ C = ["45 deg", "135 deg"] }`; `min` and `max` in it apply to the others."""

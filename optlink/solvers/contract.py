@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 BACKENDS = ("slsqp", "ipopt")
 """Back ends of a search with "both"."""
 MINIMAX = "minimax"  # only for NLPs that minimise the largest of many deviations
-LEAST_SQUARES, FOUND = "least squares", "found by least squares"  # a method before any back end, and its message: none changed it
+FOUND, SOLVED = "found by least squares", "solved by equations"  # messages of designs that no back end has changed
+METHODS = {FOUND: "least squares", SOLVED: "equations"}
 CLOSE = "ipopt, close"  # IPOPT with a small barrier parameter, for a start near an optimum
 
 

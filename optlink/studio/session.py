@@ -253,10 +253,11 @@ class Session:
     def _dyads(self, request: Mapping[str, Any]) -> None:
         """Send the curves of the dyads of four poses, or the partners of a driver; a driver and a follower are a new design."""
         driver, follower = request.get("driver"), request.get("follower")
+        shown = None if self._design is None else self._design.values
         if follower is None:
-            self._answer("dyads", **dyads.curves(self._document.problem, driver))
+            self._answer("dyads", **dyads.curves(self._document.problem, driver, shown))
             return
-        self._adopt(*dyads.joined(self._document, driver, follower))
+        self._adopt(*dyads.joined(self._document, driver, follower, shown))
 
     def _solutions(self, request: Mapping[str, Any]) -> None:
         """Send all exact solutions, ranked by a quantity; one that is chosen by its number is a new design."""

@@ -42,7 +42,23 @@ class PoseFamily:
 
 
 @dataclass(frozen=True, eq=False)
-class FunctionFamily:
+class _Timed:
+    """Linkages at prescribed crank angles, of one curve of dyads."""
+
+    drivers: DyadCurves = field(init=False)
+
+    @property
+    def followers(self) -> DyadCurves:
+        """The same dyads, which have the defects of all."""
+        return self.drivers
+
+    def may_drive(self, rows: Array) -> Array:
+        """Return whether the prescribed crank angles are in order: those of all alike."""
+        return np.ones(len(rows), dtype=bool)
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionFamily(_Timed):
     """Linkages whose output moves as prescribed at four crank angles: one for each dyad of the output as seen from the crank.
 
     `inputs`: crank angles [rad]; `outputs`: angles [rad] or, if the output `slides`, coordinates [m], see `five_poses.couplers`.
@@ -51,7 +67,6 @@ class FunctionFamily:
     inputs: Array
     outputs: Array
     slides: bool
-    drivers: DyadCurves = field(init=False)
     noun: str = "couplers"
     most: int = 1000
     refined: int = 6
@@ -60,18 +75,9 @@ class FunctionFamily:
         object.__setattr__(self, "drivers", curves(*seen_from_crank(self.inputs, self.outputs, slides=self.slides)))
 
     @property
-    def followers(self) -> DyadCurves:
-        """Dyads of the output, whose defects are those of the couplers."""
-        return self.drivers
-
-    @property
     def rows(self) -> Array:
         """The only follower."""
         return ONE_ROW
-
-    def may_drive(self, rows: Array) -> Array:
-        """Return whether the prescribed crank angles are in order: those of all alike."""
-        return np.ones(len(rows), dtype=bool)
 
     def positions(self, drivers: Array, rows: Array) -> Positions:
         """Return the linkages of drivers (n,), with one follower each."""
@@ -85,7 +91,7 @@ class FunctionFamily:
 
 
 @dataclass(frozen=True, eq=False)
-class TimedFamily:
+class TimedFamily(_Timed):
     """Four-bars that pass four points at given crank rotations: a curve of cranks, and of each the curve of its partners.
 
     A body that turns with the crank takes the poses, see `five_poses.timed_paths`. `places` [m], `inputs` [rad].
@@ -93,7 +99,6 @@ class TimedFamily:
 
     places: Complex
     inputs: Array
-    drivers: DyadCurves = field(init=False)
     noun: str = "cranks"
     most: int = 100
     refined: int = 2
@@ -102,18 +107,9 @@ class TimedFamily:
         object.__setattr__(self, "drivers", curves(self.places, self.inputs - self.inputs[0]))
 
     @property
-    def followers(self) -> DyadCurves:
-        """Dyads of the body that turns with the crank, which have the defects of all."""
-        return self.drivers
-
-    @property
     def rows(self) -> Array:
         """Rows of the partners of a crank, on two closed curves at most."""
         return np.arange(2.0 * (FOLLOWERS + 1))
-
-    def may_drive(self, rows: Array) -> Array:
-        """Return whether the prescribed crank angles are in order: those of all alike."""
-        return np.ones(len(rows), dtype=bool)
 
     def positions(self, drivers: Array, rows: Array) -> Positions:
         """Return the four-bars of cranks (n,) and partners (m,)."""

@@ -33,9 +33,10 @@ AT_POLE = "a given {} lies at the pole of poses {} and {}, so that its dyads hav
 NEAR_POLE = (
     "a given {} lies near the pole of poses {} and {}: errors of the poses move the other end of its dyad {:.1g} times as far"
 )
+CLOSER = 12  # times that a row is sought between its neighbours, each time 16 times as closely
 AT = 1e-9  # distance from a pole, in units of the displacement, that is rounding
 NEAR = 1e-3  # one below which the dyad depends on the last digits of the poses
-WIDEST = 1.4  # rad; largest direction of points along the line of two poses
+FARTHEST = 10.0  # largest distance of points along the line of two poses, by the larger one of their displacement and of `reach`
 REPEATED = "poses {} and {} are the same: three poses have a dyad for each point of the body"
 
 
@@ -75,6 +76,15 @@ class DyadCurves:
         high, share = np.minimum(low + 1, len(self.homogeneous[0]) - 1), (rows - low)[:, None]
         one, other = ((1.0 - share) * part[low] + share * part[high] for part in self.homogeneous)
         return self._placed((one, other))
+
+    def row_of(self, point: complex, pivot: complex) -> float:
+        """Return the row, between whole ones too, of the dyad that is nearest to a point of the body and a pivot [m]."""
+        rows, step = np.arange(float(len(self.points))), 1.0
+        for _ in range(CLOSER):
+            points, pivots = self.between(rows)
+            row = float(rows[np.nanargmin(np.abs(points - point) + np.abs(pivots - pivot))])
+            rows, step = row + step * np.linspace(-1.0, 1.0, 33), step / 16.0
+        return row
 
     def _placed(self, homogeneous: tuple[Array, Array]) -> tuple[Complex, Complex]:
         found = []
@@ -153,7 +163,7 @@ def curves(places: Sequence[complex] | Complex, angles: Sequence[float] | Array,
     return DyadCurves(z, turn, size, every, [z[0].real, z[0].imag] + size * finite, _trace=trace)
 
 
-def dyads_of_joint(places: Complex, angles: Array, joint: complex, *, fixed: bool, samples: int = SAMPLES) -> DyadCurves:
+def dyads_of_joint(places: Complex, angles: Array, joint: complex, *, fixed: bool, reach: float = 0.0) -> DyadCurves:
     """Return the dyad of three poses, or those of two along a line, with a given joint at the first pose.
 
     At the pole of two of three poses the joint has one place in the other frame at both: these count once.
@@ -162,6 +172,8 @@ def dyads_of_joint(places: Complex, angles: Array, joint: complex, *, fixed: boo
     ----------
     joint : complex [m]
         Pivot of the frame if `fixed`, whose points of the body are sought; else a point of the body, whose pivots are.
+    reach : float [m]
+        Size of the linkage, which that of the displacements need not be.
     """
     size = float(np.max(np.abs(places - places[0]))) or 1.0
     z = (joint - places[0]) / size
@@ -176,7 +188,7 @@ def dyads_of_joint(places: Complex, angles: Array, joint: complex, *, fixed: boo
         found = np.cross(rows[0], rows[1])[None, :]
         note = NEAR_POLE.format(name, i + 1, j + 1, 1.0 / apart) if apart < NEAR else ""
     else:
-        found = _along(rows[int(np.argmax(np.linalg.norm(rows, axis=1)))], samples)
+        found = _along(rows[int(np.argmax(np.linalg.norm(rows, axis=1)))], FARTHEST * max(1.0, reach / size))
         note = AT_POLE.format(name, i + 1, j + 1) if len(rows) > 1 else ""
     lengths = np.linalg.norm(found, axis=1)[:, None]
     if not np.all(lengths > SPECIAL):
@@ -185,12 +197,12 @@ def dyads_of_joint(places: Complex, angles: Array, joint: complex, *, fixed: boo
     return DyadCurves(places, angles, size, (found, given) if fixed else (given, found), note=note)
 
 
-def _along(row: Array, samples: int) -> Array:
-    """Return points (n, 3) of the line row @ x = 0, evenly spaced in direction as seen at the unit distance."""
+def _along(row: Array, far: float) -> Array:
+    """Return points (n, 3) of the line row @ x = 0 to a distance on both sides, the denser the nearer to the origin."""
     square = float(row[:2] @ row[:2])
     foot, along = -row[2] * row[:2] / (square or 1.0), np.array([-row[1], row[0]]) / (math.sqrt(square) or 1.0)
-    places = foot + np.tan(np.linspace(-WIDEST, WIDEST, samples))[:, None] * along
-    return np.column_stack([places, np.ones(samples)]) * (square > SPECIAL**2)
+    places = foot + np.sinh(np.linspace(-1.0, 1.0, SAMPLES) * np.arcsinh(far))[:, None] * along
+    return np.column_stack([places, np.ones(SAMPLES)]) * (square > SPECIAL**2)
 
 
 def _poles(scaled: Complex, turn: Array) -> tuple[Array, Array]:
@@ -354,15 +366,34 @@ class Positions:
         return a, b, ((joint - self.pivot) * np.conj(self.fixed)).real if self.slides else np.abs(joint - self.fixed), g
 
     @cached_property
+    def sines(self) -> Array:
+        """Sine of the angle from the rocker, or from the normal of the line of a slider, to the coupler (..., positions)."""
+        fixed, coupler = np.asarray(self.fixed)[..., None], self.joint - self.pin
+        arm = fixed if self.slides else self.joint - fixed
+        with np.errstate(all="ignore"):
+            return np.asarray((coupler * np.conj(arm)).imag / (np.abs(coupler) * np.abs(arm)))
+
+    @property
+    def side(self) -> Array:
+        """Assembly mode at the first position: +1 if the joint lies to the left of the line from the pin to the rocker pivot, or
+        forward of the pin along the line of a slider, else -1.
+        """
+        return np.where(self.sines[..., 0] < 0.0, 1, -1)
+
+    @property
+    def sense(self) -> Array:
+        """Sense in which the crank passes the positions within a turn: +1 counter-clockwise, else -1."""
+        turned = np.mod(np.diff(np.angle(self.pin - np.asarray(self.pivot)[..., None]), axis=-1), TURN)
+        return np.where(np.sum(turned, axis=-1) <= TURN, 1, -1)
+
+    @cached_property
     def pairs(self) -> Pairs:
         """What keeps them from passing the positions in order: the closed form of `optlink.synthesis.five_poses.defects`, for all
         at once; a defect hides those that come after it.
         """
-        pin, joint = self.pin, self.joint
+        pin, sine = self.pin, self.sines
         a, b, c, g = self.lengths
-        arm = self.fixed[..., None] if self.slides else joint - self.fixed[..., None]
         with np.errstate(all="ignore"):
-            sine = ((joint - pin) * np.conj(arm)).imag / (b * (1.0 if self.slides else c))[..., None]
             if self.slides:
                 lowest, highest = (c - b) / a, (c + b) / a
                 cosines = np.array([(c - a) / b, (c + a) / b])
@@ -370,7 +401,7 @@ class Positions:
                 lowest, highest = ((a * a + g * g - (b + way * c) ** 2) / (2.0 * a * g) for way in (1.0, -1.0))
                 cosines = np.array([(b * b + c * c - (g + way * a) ** 2) / (2.0 * b * c) for way in (1.0, -1.0)])
             axis = self.fixed if self.slides else self.fixed - self.pivot
-            phi = np.angle((pin - self.pivot[..., None]) / axis[..., None])
+            phi = np.angle((pin - np.asarray(self.pivot)[..., None]) / np.asarray(axis)[..., None])
         turns = (lowest <= -1.0) & (highest >= 1.0)
         two = (lowest > -1.0) & (highest < 1.0)  # ranges, one on each side of the frame line
         aside = (highest < 1.0) & ~two & ~turns  # one range about the angle pi

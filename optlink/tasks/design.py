@@ -24,7 +24,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.targets.law import Function
 from optlink.solvers import multistart
 from optlink.solvers.continuum import Continuum, continuum
-from optlink.solvers.contract import BACKENDS, FOUND, LEAST_SQUARES
+from optlink.solvers.contract import BACKENDS, METHODS
 from optlink.solvers.exchange import SAMPLES, STARTS, OrderedStarts, one_of_each, place_at_peaks, solve_semi_infinite
 from optlink.solvers.infeasibility import Explanation, Follow, explain, feasible_point
 from optlink.solvers.solution import Solution
@@ -290,7 +290,7 @@ def _continuum_note(equal: Continuum) -> str:
 def _method(collection: DesignCollection) -> str:
     """Return the name of the method that found the best design."""
     solution = collection.designs[0].solution if collection.designs else None
-    return LEAST_SQUARES if solution is not None and solution.message == FOUND else collection.polisher.method
+    return METHODS.get(solution.message if solution else "", collection.polisher.method)
 
 
 def _compared(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, Search], SynthesisResult]) -> SynthesisResult:
@@ -403,6 +403,9 @@ class SearchRounds:
             self.exact_solutions = targets.summary
             for variant, design in targets.usable:
                 self.collection.take(polisher.from_values(variant, design.values, design.crank_angles, close=True))
+                exact = polisher.itself(variant, design.values, design.crank_angles)
+                if exact.valid:  # which the local search may leave for another exact design, and a worse one
+                    self.collection.insert(exact)
                 self.given += 1
         for variant, file in enumerate(self.files):
             task = file.spec

@@ -20,10 +20,11 @@ from optlink.problem.terms import QUANTITIES, Goal, read_words
 from optlink.synthesis.five_poses import FourBarSolution, link
 from optlink.synthesis.poses_and_points import four_bars
 from optlink.synthesis.start_problems import COUNTS, FIVE_POINTS
-from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, marked
+from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, loop_of, marked
 from optlink.tasks.four_poses import CHEAP
 from optlink.tasks.results.design import NO_SEARCH, SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolutions
+from optlink.units import count_noun
 
 SAME_POINT = 1e-10  # distance of points that are one, relative to that of others
 REPEATED_POINT = "points {} and {} are the same: infinitely many four-bars pass through the others"
@@ -113,6 +114,44 @@ def listing(problem: ProblemFile) -> type[FiveTargets] | None:
     return next((kind for kind, suits in (*CHEAP, (PosesAndPoints, poses_and_points)) if suits(task)), None)
 
 
+TIMED = "timed point"
+KNOWN = {
+    "position": "Give 4 or 5 positions (one more than `points` with even spacing) and no start values, or 3 and both",
+    "pose": "Give 4 or 5 poses, 4 with 2 points, 3 with 4 or 2 with 6, or 2 or 3 poses and both pivots or both moving points",
+    TIMED: "Give 4 or 5 points that are timed from a free start",
+    "point": "Give 9 points, or 5 and both pivots",
+}
+"""What determines a four-bar or a family of them, by what the targets are."""
+
+
+def _refusal(task: DesignProblem) -> tuple[str, str]:
+    """Return why the solutions of a problem are not listed, and what would be."""
+    leave = "or leave out --all and requirement.exact, for a search"
+    pointed = task.law_given or task.requirement.kind in ("path", "motion")
+    if not pointed or len(task.parts) != 1 or task.requirements or task.robust is not None:
+        return (
+            "there is a list of exact solutions of poses, points, or positions of an output alone",
+            f"State one such requirement, {leave}",
+        )
+    if (loop := loop_of(task)) is None:
+        return (
+            "there is a list of exact solutions of four-bars alone, and of slider-cranks for a slide",
+            f"Choose such a linkage, {leave}",
+        )
+    kind = {"motion": "pose", "path": "point" if task.timing == "free" else TIMED}.get(task.requirement.kind, "position")
+    if task.everywhere:
+        return (
+            "there is no list of exact solutions of a law that is approximated everywhere",
+            f"Give 3 to 5 precision points, {leave}",
+        )
+    if kind == TIMED and task.meets_again:
+        return "there is no list of exact solutions of points that the linkage passes twice", f"Remove the second one, {leave}"
+    needed = {task.start_name, task.base_name, *loop.names} if task.law_given else task.quantities.keys()
+    given = [name for name in task.quantities if name in needed and name not in task.free]
+    fixed, count = f" with {', '.join(given)} given" if given else "", count_noun(len(task.data.columns), kind)
+    return f"there is no list of exact solutions of {count}{fixed}", f"{KNOWN[kind]}, with all else free; {leave}"
+
+
 @typed
 def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
     """Find all linkages that meet the targets of a problem exactly, and tell of each why it is usable or not.
@@ -148,14 +187,7 @@ def exact(problem: AnyProblem, by: str | None = None) -> SynthesisResult:
     problem = problem_of(problem)
     kind = listing(problem)
     if kind is None:
-        message = (
-            "only as many poses, points or timed points as determine a linkage, four of them, and two or three poses with given "
-            "pivots or moving points have listed exact solutions"
-        )
-        remedy = (
-            "Give four or five poses, or targets with a free start, nine points, four poses and two points, three and four or "
-            "two and six, with all dimensions free, or five points with fixed pivots; or leave out --all and requirement.exact"
-        )
+        message, remedy = _refusal(problem.variants()[0].spec)
         raise InputError(message, remedy, problem.file, "requirement")
     clock = time.perf_counter()
     targets = kind(problem.variants(), None if by is None else _ranking(problem, by))

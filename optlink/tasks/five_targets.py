@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +22,9 @@ from optlink.problem.requirements.base import MARK, START, pose_angles
 from optlink.problem.terms import Goal
 from optlink.synthesis.families import three_points
 from optlink.synthesis.five_poses import ONE_CENTRE, POSES, TRANSLATED, FourBarSolution, couplers, dyads, moved, timed_paths
+from optlink.synthesis.four_poses import Positions
 from optlink.tasks.results.design import LinkageDesign
-from optlink.tasks.results.exact import ExactSolution, ExactSolutions
+from optlink.tasks.results.exact import BY_TRANSMISSION, ExactSolution, ExactSolutions
 from optlink.tasks.search import mode_of
 from optlink.units import KINDS, factor
 from optlink.validation import validate
@@ -31,7 +33,8 @@ THREE = 3
 CONDITIONS = 10  # of five poses with free timing or five timed points, on as many design variables of a four-bar
 OTHER_START = 1e-6  # rad or m; of the start of a linkage from the one given, which differs by half a turn otherwise
 TRIALS = ((0.3, 0.5), (1.1, -0.4))  # starts [rad], crank and output, with which a law must rise by the same
-GRASHOF, BOUNDED = "Grashof: ", " within its bounds"  # names of checks
+GRASHOF, TURNS, BOUNDED = "Grashof: ", "crank turns ", " within its bounds"  # names of checks
+CRANKS = ("crank-rocker", "double-crank")  # whose cranks turn fully, the first by default
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,8 @@ class FiveTargets:
 
     @property
     def _words(self) -> str:
+        if not self.goals:
+            return BY_TRANSMISSION
         return "objective" if self._ranked is None else self._ranked.words
 
     @cached_property
@@ -165,17 +170,14 @@ class FiveTargets:
     def _judged(self, pair: FourBarSolution) -> _Found | None:
         """Return a four-bar as a solution of the problem, with all reasons that exclude it."""
         task = self.task
-        crank, coupler, rocker = _vectors(pair)
-        slides = pair.follower.slider
+        found = positions_of(pair)
+        crank, coupler, rocker = found.pin - found.pivot, found.joint - found.pin, found.joint - found.fixed
+        slides, side = found.slides, int(found.side)
         sizes = np.array([np.abs(each).max() for each in (crank, coupler, crank if slides else rocker)])
         if np.min(sizes) <= 1e-9 * np.max(sizes):
             return None
-        across = (np.conj(coupler) * rocker).imag
-        sine = np.abs(across) / (np.abs(coupler) * np.abs(rocker))
-        transmission = float(np.min(np.arcsin(np.clip(sine, 0.0, 1.0))))
-        # the joint lies to the left of the line from the crank pin to the rocker pivot, or forward of the pin along the guide
-        side = 1 if (across[0] < 0.0) != slides else -1
-        values, datum = _values(task, pair), task.linkage.datum
+        transmission = float(np.min(np.arcsin(np.clip(np.abs(found.sines), 0.0, 1.0))))
+        values, datum = {name: float(value) for name, value in quantities_of(task, found).items()}, task.linkage.datum
         phi = np.angle(crank) - (values[datum] if isinstance(datum, str) else datum)
         reasons = list(pair.defects)
         loops = [loop_of(file.spec) for file in self.files]
@@ -280,13 +282,19 @@ def _other_starts(task: DesignProblem, values: Mapping[str, float]) -> Iterator[
 
 def _failures(design: LinkageDesign) -> Iterator[str]:
     """Yield the checks that a design fails, as reasons; without those that only follow from a crank that does not turn."""
-    angles, task = design.crank_angles, design.task
-    if task.data.offsets is None and math.copysign(1.0, angles[-1] - angles[0]) not in task.ways:
-        yield f"rotation: the crank turns {'' if angles[-1] < angles[0] else 'counter-'}clockwise"
+    task = design.task
     for check in design.validation.failures:
         stated = f"{check.value:.4g} {check.unit}".rstrip()
         if check.name.startswith(GRASHOF):
-            yield f"crank: does not turn fully ({check.name.removeprefix(GRASHOF)})"
+            kind, asked = check.name.removeprefix(GRASHOF), CRANKS[task.limits.crank == "double-crank"]
+            if kind.startswith(asked):
+                yield f"crank: turns fully by a difference of lengths of {stated} only, required {check.limit}"
+            elif kind.startswith(CRANKS):
+                yield f"crank: turns fully, but it is that of a {kind}; a {asked} is required"
+            else:
+                yield f"crank: does not turn fully ({kind})"
+        elif check.name.startswith(TURNS):
+            yield f"rotation: the crank does not turn {check.name.removeprefix(TURNS)}"
         elif check.name.endswith(BOUNDED):
             yield f"outside your bounds: {check.name.removesuffix(BOUNDED)} {stated}, allowed {check.limit}"
         elif not math.isnan(check.value):
@@ -352,70 +360,61 @@ def _joint(part: Array) -> complex:
     return complex(*part[:2]) / (part[2] or float(np.hypot(*part[:2])))
 
 
-def _vectors(pair: FourBarSolution) -> tuple[Array, Array, Array]:
-    """Return crank, coupler and rocker at all positions as complex numbers, each from its end nearer to the crank pivot; for a
-    slider the normal of its line in place of the rocker.
-    """
+def positions_of(pair: FourBarSolution) -> Positions:
+    """Return the joints of a linkage at all positions."""
     rotation = np.exp(1j * (pair.angles - pair.angles[0]))
     pins, joints = (pair.places + rotation * (_joint(dyad.point) - pair.places[0]) for dyad in (pair.crank, pair.follower))
-    end = _joint(pair.follower.pivot)
-    return pins - _joint(pair.crank.pivot), joints - pins, np.full(len(joints), end) if pair.follower.slider else end - joints
+    pivot, fixed = (np.asarray(_joint(dyad.pivot)) for dyad in (pair.crank, pair.follower))
+    return Positions(pins, joints, pivot, fixed, pair.places, float(pair.angles[0]), pair.follower.slider)
 
 
-def _slide_values(task: DesignProblem, pair: FourBarSolution, loop: SliderCrank) -> dict[str, float]:
-    """Return the quantities [SI] of a slider-crank by their names, as seen along its guide from the crank pivot."""
-    crank, coupler, _ = (each[0] for each in _vectors(pair))
-    joint, values, sense = crank + coupler, task.design({}), loop.guide.direction
-    turned = values[sense] if isinstance(sense, str) else sense  # crank angles of such a linkage count from the x axis
-    values |= dict(zip(loop.names, (abs(crank), abs(coupler), joint.imag), strict=True))
-    values[task.start_name] = float(np.angle(crank)) + turned - float(task.law.offsets[0])
-    values[task.base_name] = joint.real - float(rises(task)[0])
-    return {name: _within(task, name, value) for name, value in values.items()}
+def quantities_of(task: DesignProblem, found: Positions) -> dict[str, Array]:
+    """Return the quantities [SI] of linkages by their names, arrays; those of a law have the frame of the file.
 
-
-def _values(task: DesignProblem, pair: FourBarSolution) -> dict[str, float]:
-    """Return the quantities [SI] of a four-bar by their names; those of a law have the frame of the file."""
-    loop, linkage = task.four_bar, task.linkage
-    if loop is None:
-        slides = slider_crank(linkage)
-        assert slides is not None
-        return _slide_values(task, pair, slides)
-    crank, coupler, rocker = (each[0] for each in _vectors(pair))
-    pivot, far = (_joint(dyad.pivot) for dyad in (pair.crank, pair.follower))
-    size = float(loop.frame(task.design({}))[0]) if task.law_given else 1.0
-    named: dict[object, float] = dict(zip(loop.names, (size * abs(each) for each in (crank, coupler, rocker)), strict=True))
-    for place, at in zip(loop.pivots, (pivot, far), strict=True):
-        if isinstance(place, Arm):
-            named |= {place.length: abs(far - pivot), place.direction: float(np.angle(far - pivot))}
-        elif not task.law_given:
-            named |= {place[0]: at.real, place[1]: at.imag}
-    if loop.frame_length:
-        named[loop.frame_length] = size * abs(far - pivot)
-    datum = named[linkage.datum] if isinstance(linkage.datum, str) else linkage.datum
-    backwards = loop.coupler.start != loop.pin
-    mark = linkage.marks.get((loop.coupler.body, task.point))
-    if mark is not None:
-        z = complex(pair.places[0]) - pivot - crank
-        z = ((coupler - z) if backwards else z) / coupler * abs(coupler)  # from C along C -> B, or from B along B -> C
-        named |= {mark.along: z.real, mark.across: z.imag}
-    values = {**task.design({}), **{name: value for name, value in named.items() if isinstance(name, str)}}
-    start = float(np.angle(crank)) - datum
-    if MARK in task.quantities:
-        values[MARK] = float(pair.angles[0] - np.angle(-coupler if backwards else coupler))
+    A linkage of a law has its crank pivot at the origin, and its frame or its guide along x.
+    """
+    loop, values, law = loop_of(task), task.design({}), task.law_given
+    pin, joint, pivot, far = found.pin[..., 0], found.joint[..., 0], found.pivot, found.fixed
+    crank, coupler = pin - pivot, joint - pin
+    named: dict[object, Any]
+    if isinstance(loop, SliderCrank):
+        named = dict(zip(loop.names, (np.abs(crank), np.abs(coupler), (joint - pivot).imag), strict=True))
+        start, out = np.angle(crank) + frame_direction(task), (joint - pivot).real
+    else:
+        assert loop is not None
+        size = float(loop.frame(values)[0]) if law else 1.0
+        frame, lengths = far - pivot, (np.abs(crank), np.abs(coupler), np.abs(joint - far))
+        named = dict(zip(loop.names, (size * each for each in lengths), strict=True))
+        for place, at in zip(loop.pivots, (pivot, far), strict=True):
+            if isinstance(place, Arm):
+                named |= {place.length: size * np.abs(frame), place.direction: np.angle(frame)}
+            elif not law:
+                named |= {place[0]: at.real, place[1]: at.imag}
+        if loop.frame_length:
+            named[loop.frame_length] = size * np.abs(frame)
+        datum, backwards = task.linkage.datum, loop.coupler.start != loop.pin
+        start, out = np.angle(crank) - (named[datum] if isinstance(datum, str) else datum), np.angle(joint - far)
+        mark = task.linkage.marks.get((loop.coupler.body, task.point))
+        if mark is not None and found.places is not None:
+            z = found.places[0] - pin
+            with np.errstate(all="ignore"):
+                z = ((coupler - z) if backwards else z) / coupler * np.abs(coupler)  # from C along C -> B, or from B along B -> C
+            named |= {mark.along: z.real, mark.across: z.imag}
+        if MARK in task.quantities:
+            named[MARK] = found.begin - np.angle(-coupler if backwards else coupler)
     if START in task.quantities and task.data.offsets is not None:
-        values[START] = start - float(task.data.offsets[0])
-    if task.law_given:
-        rise = rises(task)
-        values[task.start_name] = start - float(task.law.offsets[0])
-        values[task.base_name] = float(np.angle(-rocker)) - float(rise[0])
-    return {name: _within(task, name, value) for name, value in values.items()}
+        named[START] = start - float(task.data.offsets[0])
+    if law:
+        named |= {task.start_name: start - float(task.law.offsets[0]), task.base_name: out - float(rises(task)[0])}
+    names = {name: value for name, value in named.items() if isinstance(name, str)}
+    return {name: _within(task, name, value) for name, value in {**values, **names}.items()}
 
 
-def _within(task: DesignProblem, name: str, value: float) -> float:
-    """Return a value, of a periodic angle the one within its bounds."""
-    value, quantity = float(value), task.quantities.get(name)
+def _within(task: DesignProblem, name: str, value: Array) -> Array:
+    """Return values, of a periodic angle those within its bounds."""
+    quantity = task.quantities.get(name)
     if quantity is None or quantity.kind != "angle" or not task.is_periodic(name):
         return value
     low, high = quantity.bounds if quantity.free else (quantity.value - math.pi, quantity.value + math.pi)
     middle = 0.5 * (low + high)
-    return middle + math.remainder(value - middle, TURN)
+    return middle + np.remainder(value - middle + math.pi, TURN) - math.pi

@@ -5,14 +5,13 @@ from __future__ import annotations
 import cmath
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import InputError
-from optlink.linkage.fourbar import InnerFourBar
 from optlink.linkage.mechanism import Arm
 from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
@@ -24,6 +23,7 @@ from optlink.synthesis.families import Family, FunctionFamily, PoseFamily, Timed
 from optlink.synthesis.five_poses import FourBarSolution
 from optlink.synthesis.four_poses import DEFECTS, POSES, DyadCurves, Positions, curves, dyads_of_joint
 from optlink.tasks.five_targets import (
+    CRANKS,
     FiveTargets,
     ThreePoints,
     alone,
@@ -33,11 +33,13 @@ from optlink.tasks.five_targets import (
     in_words,
     loop_of,
     marked,
+    quantities_of,
     rises,
 )
 from optlink.tasks.results.design import SynthesisResult, of_designs
-from optlink.tasks.results.exact import ExactSolutions
+from optlink.tasks.results.exact import BY_TRANSMISSION, MOST_CAUSES, ExactSolution, ExactSolutions
 from optlink.units import count_noun
+from optlink.validation.check import grashof_check
 
 MOST = 400  # dyads that are drivers and followers of all pairs
 APART = 0.04  # least distance of listed pairs along one of the curves, as a share of the dyads
@@ -45,7 +47,8 @@ TARGETS = ("timed points", "points of a function")
 KINDS_OF = {2: "two poses with given joints", 3: "three poses with given joints", POSES: "four poses"}
 DESIGNS = 6  # largest number of listed four-bars
 TRIED = 40  # largest number of four-bars that are validated
-FRAME_LENGTH = "frame length"
+TOTAL_LENGTH = "total length"
+ROUNDED = 1e-9  # share of the size of a linkage by which rounding moves it beyond a bound
 NO_LINKAGE = len(DEFECTS) - 1
 MEASURED, CLIMBED = 100, 3  # pairs of dyads of which a quantity is measured, and best ones that are improved
 STEPS = (9, 3, 1)  # of the dyads along a curve, to better ones
@@ -108,24 +111,30 @@ def _sides(task: DesignProblem) -> tuple[DyadCurves, DyadCurves] | None:
     if isinstance(begin, Arm) or any(task.quantities[name].equals for name in (frame if fixed else body)):
         return None
 
+    columns, joints = task.data.columns, joints_at(task, values)
+    places, angles = columns[:, 0] + 1j * columns[:, 1], np.unwrap(pose_angles(columns))
+    one, other = joints[:2] if fixed else joints[2:]
+    crank, rocker = (dyads_of_joint(places, angles, joint, fixed=fixed, reach=abs(other - one)) for joint in (one, other))
+    return crank, rocker
+
+
+def joints_at(task: DesignProblem, values: Mapping[str, float]) -> tuple[complex, complex, complex, complex]:
+    """Return pivots and moving points [m] of a four-bar of quantities [SI] at the first pose, those of the crank first."""
+    loop = task.four_bar
+    assert loop is not None
+    (begin, end), columns = loop.pivots, task.data.columns
+    assert not isinstance(begin, Arm)
+
     def size(part: Any) -> float:
         return float(values[part] if isinstance(part, str) else part)
 
-    columns = task.data.columns
-    places, angles = columns[:, 0] + 1j * columns[:, 1], np.unwrap(pose_angles(columns))
-    end, one = loop.pivots[1], complex(*map(size, begin))
-    if not fixed:
-        backwards = loop.coupler.start != loop.pin
-        way = cmath.exp(1j * (float(angles[0]) - values[MARK]))  # from the start of the coupler to its end
-        along, beside = way * size(loop.coupler.length), way * complex(size(mark.along), size(mark.across))
-        one, other = complex(places[0]) - beside, complex(places[0]) - beside + along
-        one, other = (other, one) if backwards else (one, other)
-    elif isinstance(end, Arm):
-        other = one + cmath.rect(size(end.length), size(end.direction))
-    else:
-        other = complex(*map(size, end))
-    crank, rocker = (dyads_of_joint(places, angles, joint, fixed=fixed) for joint in (one, other))
-    return crank, rocker
+    pivot = complex(*map(size, begin))
+    fixed = pivot + cmath.rect(size(end.length), size(end.direction)) if isinstance(end, Arm) else complex(*map(size, end))
+    mark = task.linkage.marks[loop.coupler.body, task.point]
+    way = cmath.exp(1j * (float(pose_angles(columns)[0]) - values[MARK]))  # from the start of the coupler to its end
+    start = complex(*columns[0, :2]) - way * complex(size(mark.along), size(mark.across))
+    ends = (start, start + way * size(loop.coupler.length))
+    return (pivot, fixed, *ends) if loop.coupler.start == loop.pin else (pivot, fixed, *ends[::-1])
 
 
 def _spread(side: DyadCurves, most: int) -> Array:
@@ -141,7 +150,7 @@ class FourTargets(FiveTargets):
     `files`: the problem with definite assembly modes.
     """
 
-    def __init__(self, files: Sequence[ProblemFile], goal: Goal | None = None, chosen: tuple[int, int] | None = None) -> None:
+    def __init__(self, files: Sequence[ProblemFile], goal: Goal | None = None, chosen: tuple[float, float] | None = None) -> None:
         self.family = family_of(files[0].spec)
         self.curves, self.followers = self.family.drivers, self.family.followers
         self.chosen = chosen
@@ -153,7 +162,7 @@ class FourTargets(FiveTargets):
         """Return how many linkages meet the targets, and varied ones that do so within the bounds, best first."""
         curves, task = self.curves, self.task
         for row in self.chosen or ():
-            if not 0 <= row < len(curves.points) or np.isnan(curves.points[row, 0]):
+            if not 0 <= row < len(curves.points) or np.isnan(curves.between(np.array([row]))[0][0]):
                 message = curves.special or "no dyad of finite lengths"
                 raise InputError(message, "Give a row of `dyad_curves`", self.files[0].file, "driver, follower", row)
         note = "; ".join(dict.fromkeys(filter(None, (curves.note, self.followers.note))))
@@ -172,6 +181,11 @@ class FourTargets(FiveTargets):
         """Return the linkage of two rows of the family."""
         return self.family.positions(np.array([driver], dtype=float), np.array([follower], dtype=float))[0, 0]
 
+    def _passing(self, driver: float, follower: float) -> ExactSolution | None:
+        """Return the linkage of two rows of the family if it passes all checks."""
+        found = self._judged(self._linkage(driver, follower))
+        return found.solution if found is not None and found.solution.usable else None
+
     def _best(self) -> Iterator[tuple[float, float]]:
         """Yield driver and follower of varied pairs, the best one first, and compose the sentence."""
         family, task = self.family, self.task
@@ -181,20 +195,26 @@ class FourTargets(FiveTargets):
         driving = len(drivers) / max(1, len(cranks))
         found = family.positions(drivers, rows)
         every = found.pairs
-        turning = every.turns | (task.limits.crank == "span")
-        passing = (every.defect == 0) & turning
-        inside = passing & self._inside(found)
+        turned = turning(task, found)
+        passing, inside = (every.defect == 0) & turned, usable(self.files, found)
         closing = np.isfinite(found.joint[..., 0]) & np.isfinite(found.pin[..., 0])
         count = int(np.sum(closing))
         curve = count_noun(self.curves.count, "closed curve") if self.curves.count else "a line"
         shares = {name: np.sum((every.defect == k) & closing) for k, name in enumerate(DEFECTS) if name}
-        shares["crank does not turn"] = np.sum((every.defect == 0) & ~turning)
+        shares["crank does not turn"] = np.sum((every.defect == 0) & ~every.turns & ~turned)
+        shares[f"no {CRANKS[task.limits.crank == 'double-crank']}"] = np.sum((every.defect == 0) & every.turns & ~turned)
         reasons = ", ".join(f"{name} {share / count:z.0%}" for name, share in shares.items() if share >= 0.005 * count)
         drive = f", of which {driving:z.0%} may drive" if task.requirement.kind == "motion" else ""
         self.sentence = (
             f"{curve} of {family.noun}{drive}; {np.sum(passing) / max(1, count):z.1%} of {count} {self._made} pass the "
-            f"{self._passed} in order (not: {reasons}), {np.sum(inside) / max(1, count):z.1%} within the bounds"
+            f"{self._passed} in order (not: {reasons}), {np.sum(inside) / max(1, count):z.1%} within the bounds and limits"
         )
+        if np.any(passing) and not np.any(inside):
+            met = sorted(
+                (np.mean(np.broadcast_to(met, passing.shape)[passing]), name) for name, met in _conditions(self.files, found)
+            )[:MOST_CAUSES]
+            excluded = ", ".join(f"{name} ({1.0 - share:z.0%})" for share, name in met if share < 1.0)
+            self.sentence += f"; of those that pass, these exclude: {excluded}"
         measure = self._score(found)
         near_crank, near_rocker = (max(1, round(APART * len(side))) for side in (cranks, rows))
         places = np.searchsorted(cranks, drivers)
@@ -209,14 +229,18 @@ class FourTargets(FiveTargets):
                 near = np.abs(places - places[i])[:, None] <= near_crank
                 measure[near & (np.abs(np.arange(len(rows)) - k)[None, :] <= near_rocker)] = -math.inf
 
-        known = self._known(found)
-        if known is None:
-            measure = self._measured(np.isfinite(measure), [*varied(measure, DESIGNS)], drivers, rows)
+        known = self._known(found) is not None
         steps = [float(np.median(np.diff(side))) if len(side) > 1 else 0.0 for side in (cranks, rows)]
-        first = [np.array([drivers[i], rows[k]], dtype=float) for i, k in varied(measure, TRIED)]
-        if known is not None:
+
+        def pairs_of(measure: Array) -> list[Array]:
+            return [np.array([drivers[i], rows[k]], dtype=float) for i, k in varied(measure, TRIED)]
+
+        first = pairs_of(measure)
+        if known:
             better = sorted((self._refined(pair, steps) for pair in first[: family.refined]), key=lambda one: -one[0])
             first = [*(pair for _, pair in better), *first]
+        if first and not (known and self._passing(*first[0])):  # what ranks or excludes them is known of validated ones alone
+            first = pairs_of(self._measured(np.isfinite(measure), [*varied(measure, DESIGNS)], drivers, rows))
         room, kept = np.array([near_crank, near_rocker]) * steps, list[Array]()
         for pair in first:
             if not any(np.all(np.abs(pair - other) <= room) for other in kept):  # climbed to one that is listed
@@ -242,23 +266,23 @@ class FourTargets(FiveTargets):
     def _score(self, found: Positions) -> Array:
         """Return how good linkages are by what ranks them if it is known in closed form, else by their transmission angle.
 
-        It is -inf of those with a defect or outside the bounds.
+        It is -inf of those that are not `usable`.
         """
-        every, limit = found.pairs, self.task.limits.transmission_angle
-        inside = (every.defect == 0) & (every.turns | (self.task.limits.crank == "span")) & self._inside(found)
-        value = every.around if self.task.limits.transmission_range == "revolution" else every.transmission
-        least = 0.0 if limit is None else min(limit.low or 0.0, math.pi - (limit.high or math.pi))
         known = self._known(found)
-        return np.where(inside & (value > 0.0) & (value >= least), value if known is None else known, -math.inf)
+        return np.where(usable(self.files, found), angles_of(self.task, found) if known is None else known, -math.inf)
 
     def _known(self, found: Positions) -> Array | None:
         """Return what ranks linkages, the largest one best, if it is known in closed form: lengths, the transmission angle."""
         if not self.goals:
-            over = self.task.limits.transmission_range
-            return found.pairs.around if over == "revolution" else found.pairs.transmission
+            return angles_of(self.task, found)
         ranked = self._ranked
-        length = None if ranked is None else self._lengths(found).get(ranked.of or ranked.quantity)
-        return None if length is None else -self._sense * length
+        if ranked is None or ranked.quantity not in ("length", TOTAL_LENGTH):
+            return None
+        named = quantities_of(self.task, found)
+        if (loop := self.task.four_bar) is not None:
+            named[TOTAL_LENGTH] = sum((named[name] for name in loop.names), frame_of(self.task, found))
+        size = named.get(ranked.of or TOTAL_LENGTH)
+        return None if size is None else -self._sense * size
 
     @property
     def _made(self) -> str:
@@ -278,9 +302,8 @@ class FourTargets(FiveTargets):
         def measured(i: int, k: int) -> float:
             if not seen[i, k]:
                 seen[i, k] = True
-                found = self._judged(self._linkage(drivers[i], followers[k]))
-                if found is not None and found.solution.usable:
-                    good[i, k] = -self._rank(found.solution)
+                found = self._passing(drivers[i], followers[k])
+                good[i, k] = -math.inf if found is None else -self._rank(found)
             return float(good[i, k])
 
         places = np.argwhere(passing)
@@ -299,30 +322,64 @@ class FourTargets(FiveTargets):
         self.sentence += f"; of {int(np.sum(good > -math.inf))} of these the {self._words} was measured"
         return good
 
-    def _lengths(self, found: Positions) -> dict[str, Array]:
-        """Return lengths and pivots [m] of linkages by name, of a four-bar "frame length" and "total length" too."""
-        loop, law = loop_of(self.task), self.task.law_given
-        assert loop is not None
-        size = float(loop.frame(self.task.design({}))[0]) if law and isinstance(loop, InnerFourBar) else 1.0
-        *lengths, frame = (size * each for each in found.lengths)
-        named = dict(zip(loop.names, lengths, strict=True))
-        if not isinstance(loop, InnerFourBar):
-            return named
-        for place, at in zip(loop.pivots, (found.pivot, found.fixed), strict=True):
-            parts = {place.length: frame} if isinstance(place, Arm) else {place[0]: at.real, place[1]: at.imag}
-            named |= {name: value for name, value in parts.items() if isinstance(name, str) and (not law or value is frame)}
-        return named | {FRAME_LENGTH: frame, "total length": sum(lengths, frame)}
 
-    def _inside(self, found: Positions) -> Array:
-        """Return whether the lengths and pivots of linkages lie within their bounds."""
-        named, quantities, size = self._lengths(found), self.task.quantities, 1e-9 * self.curves.size
-        ranges = [(value, *quantities[name].bounds) for name, value in named.items() if name in quantities]
-        if (frame := self.task.limits.frame_length) is not None:
-            ranges.append((named[FRAME_LENGTH], frame.low or 0.0, math.inf if frame.high is None else frame.high))
-        inside = np.ones(found.pairs.defect.shape, dtype=bool)
-        for value, low, high in ranges:
-            inside &= (value >= low - size) & (value <= high + size)
-        return inside
+def usable(files: Sequence[ProblemFile], found: Positions) -> NDArray[np.bool_]:
+    """Return whether linkages meet the targets without a defect, within the bounds and the limits that closed forms tell.
+
+    `files`: the problem with definite assembly modes. The validator knows the other limits.
+    """
+    fits: NDArray[np.bool_] = (found.pairs.defect == 0) & turning(files[0].spec, found)
+    for _, met in _conditions(files, found):
+        fits &= met
+    return fits
+
+
+def _conditions(files: Sequence[ProblemFile], found: Positions) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Yield what a bound or limit is, and whether linkages meet it."""
+    task, size = files[0].spec, float(np.nanmax(np.abs(found.pin), initial=0.0))
+    limits, named = task.limits, quantities_of(task, found)
+    loops = [loop_of(file.spec) for file in files]
+    yield "assembly", np.isin(found.side, [loop.side for loop in loops if loop is not None])
+    if task.data.offsets is None:
+        yield "rotation", np.isin(found.sense, task.ways)
+    for name in task.free:
+        quantity = task.quantities[name]
+        (low, high), (_, unit), near = quantity.bounds, quantity.display, ROUNDED * (size if quantity.in_metres else 1.0)
+        shown = f"{name} {low / quantity.si_per_unit:.4g} ... {high / quantity.si_per_unit:.4g} {unit}"
+        yield shown, (named[name] >= low - near) & (named[name] <= high + near)
+    *links, frame = found.lengths
+    with np.errstate(all="ignore"):
+        ratios = [] if found.slides else [("link ratio", each / frame, limits.link_ratio) for each in links]
+    for name, value, interval in (("frame length", frame_of(task, found), limits.frame_length), *ratios):
+        if interval is not None:
+            high = math.inf if interval.high is None else interval.high
+            yield name, (value >= (interval.low or 0.0)) & (value <= high)
+    least, limit = limits.alignment.value, limits.transmission_angle
+    if limit is not None:
+        least = max(least, min(limit.low or 0.0, math.pi - (limit.high or math.pi)))
+    yield BY_TRANSMISSION, angles_of(task, found) >= least
+
+
+def turning(task: DesignProblem, found: Positions) -> NDArray[np.bool_]:
+    """Return whether the cranks of linkages turn as `limits.crank` requires, by its margin."""
+    if task.limits.crank == "span":
+        return np.ones(found.pairs.turns.shape, dtype=bool)
+    if found.slides:
+        return found.pairs.turns
+    with np.errstate(invalid="ignore"):
+        passed: NDArray[np.bool_] = grashof_check(found.lengths, task.limits).passed
+        return passed
+
+
+def frame_of(task: DesignProblem, found: Positions) -> Array:
+    """Return the lengths [m] of the frames of linkages; of those of a law that of the file."""
+    loop = task.four_bar
+    return np.asarray(found.lengths[-1] if loop is None or not task.law_given else loop.frame(task.design({}))[0])
+
+
+def angles_of(task: DesignProblem, found: Positions) -> Array:
+    """Return the least distance [rad] of the transmission angle of linkages from 0 and 180 deg over the required motion."""
+    return found.pairs.around if task.limits.transmission_range == "revolution" else found.pairs.transmission
 
 
 CHEAP = ((FiveTargets, of_five_targets), (FourTargets, applies), (FourTargets, joints_given), (ThreePoints, given_starts))
@@ -363,15 +420,15 @@ def dyad_curves(problem: AnyProblem) -> DyadCurves:
 
 
 @typed
-def four_bar_of_dyads(problem: AnyProblem, driver: int, follower: int) -> SynthesisResult:
+def four_bar_of_dyads(problem: AnyProblem, driver: float, follower: float) -> SynthesisResult:
     """Join two dyads of four poses to a four-bar, and validate it.
 
     Parameters
     ----------
     problem : ProblemFile, str or Path
         A four-bar for four poses with free timing, all dimensions of which are design variables.
-    driver, follower : int
-        Rows of the dyads in `dyad_curves`.
+    driver, follower : float
+        Rows of the dyads in `dyad_curves`; between whole ones lie the dyads between them.
 
     Returns
     -------

@@ -23,7 +23,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of
 from optlink.problem.terms import Term
 from optlink.solvers import multistart
-from optlink.solvers.contract import BACKENDS, CLOSE, FOUND, MINIMAX
+from optlink.solvers.contract import BACKENDS, CLOSE, FOUND, MINIMAX, SOLVED
 from optlink.solvers.exchange import (
     CROSSINGS,
     FURTHER,
@@ -426,6 +426,11 @@ class Polisher:
         """Return the candidate itself, validated: a feasible design if it satisfies its limits everywhere."""
         start = self._scaled_point(candidate)
         return feasible(validated_design(self.files[candidate.variant], start))
+
+    def itself(self, variant: int, values: Mapping[str, float], angles: Array | None) -> LinkageDesign:
+        """Return quantities [SI] and crank angles [rad] that meet the targets exactly themselves as a design, validated."""
+        nlp, x = self._point(variant, values, angles, 1 if angles is None or angles[-1] >= angles[0] else -1)
+        return validated_design(self.files[variant], multistart.solution_at(nlp, nlp.lifted(x), SOLVED))
 
     def from_feasible(self, variant: int, nlp: NLP, x: Array) -> Iterator[LinkageDesign]:
         """Yield the local optimum near a point that meets all limits at the positions of its NLP, then the point itself."""

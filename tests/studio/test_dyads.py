@@ -9,6 +9,7 @@ import pytest
 
 import optlink
 from optlink.problem.file import read
+from optlink.studio import dyads
 from tests.studio.test_session import Page
 
 
@@ -43,13 +44,38 @@ def test_two_picked_dyads_are_a_verified_step_that_is_saved(page: Page) -> None:
     assert "start" not in page.ask("save")[0]["text"]
 
 
+def test_the_dyads_of_a_design_at_its_bound_are_a_pair_of_their_own() -> None:
+    """The frame of the best four-bar is as long as may be; the drawn points beside its dyads have longer ones."""
+    page = Page()
+    state = page.state("open", name="motion-4-poses")
+    frame = next(one["value"] for one in state["variables"] if one["name"] == "frame")
+    assert frame == pytest.approx(400.0, abs=1e-3)
+    curves = page.ask("dyads")[0]
+    driver, follower = len(curves["pivots"]) - 3, len(curves["pivots"]) - 1
+    assert math.dist(curves["pivots"][driver], curves["pivots"][follower]) == pytest.approx(frame, abs=1e-5)
+    usable = page.ask("dyads", driver=driver)[0]["usable"]
+    assert usable[follower]
+    near = [math.dist(at or (1e9, 0.0), curves["pivots"][follower]) for at in curves["pivots"][:-3]]
+    assert not usable[near.index(min(near))]
+    picked = page.ask("dyads", driver=driver, follower=follower)[0]
+    assert {one["name"]: one["value"] for one in picked["variables"]}["frame"] == pytest.approx(frame, abs=1e-6)
+    assert picked["status"] == "verified"
+
+
+def test_bounds_that_leave_no_pair_have_no_driver(page: Page) -> None:
+    short = optlink.load("motion-4-poses").override({"mechanism.crank.bounds": ["10 mm", "11 mm"]})
+    assert not any(dyads.curves(short, None)["drives"])
+
+
 def test_what_cannot_be_picked_is_refused(page: Page) -> None:
     curves = page.ask("dyads")[0]
     driver = next(k for k, may in enumerate(curves["drives"]) if may and curves["pivots"][k])
-    usable = page.ask("dyads", driver=driver)[0]["usable"]
-    bad = next(k for k, may in enumerate(usable) if not may and curves["pivots"][k] and k != driver)
+    defect = optlink.synthesis.dyad_curves("motion-4-poses").partners([driver]).defect[0]
+    bad = next(k for k, found in enumerate(defect) if found == 1)
+    outside = next(k for k, found in enumerate(defect) if found == 0 and not page.ask("dyads", driver=driver)[0]["usable"][k])
     for fields, words in (
         ({"driver": driver, "follower": bad}, "does not pass the poses"),
+        ({"driver": driver, "follower": outside}, "allowed"),
         ({"driver": -1}, "no such dyad"),
         ({"driver": "first"}, "no such dyad"),
         ({"driver": "first", "follower": 2}, "driver"),

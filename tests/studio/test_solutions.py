@@ -33,7 +33,7 @@ def test_the_list_is_that_of_the_command_with_a_scene_of_each() -> None:
         assert ((u - x) ** 2 + (v - y) ** 2) ** 0.5 == pytest.approx(1e3 * one.values["crank"], rel=1e-3)
     assert "no such usable solution" in page.ask("solutions", chosen=1)[0]["message"]
     assert not page.state("open", name="crank-rocker")["solutions"]
-    assert "listed exact solutions" in page.ask("solutions")[0]["message"]
+    assert "list of exact solutions" in page.ask("solutions")[0]["message"]
 
 
 @pytest.mark.slow

@@ -215,31 +215,21 @@ def test_defects_of_sliders_equal_stepping():
     for z, turns, _ in known_sets(60, 3):
         found = dyads(z, turns).real
         for driver in (d for d in found if d.kind == "RR"):
-            for follower in (d for d in found if d.kind != "RR"):
+            for follower in (d for d in found if d.slider):
                 a, b0 = (complex(*part[:2]) / part[2] for part in (driver.pivot, driver.point))
                 rotation = np.exp(1j * (turns - turns[0]))
                 b = z + rotation * (b0 - z[0])
-                if follower.slider:
-                    normal = complex(*follower.pivot[:2]) / np.hypot(*follower.pivot[:2])
-                    e = z + rotation * (complex(*follower.point[:2]) / follower.point[2] - z[0])
-                    reach, height = abs(e[0] - b0), lambda at, n=normal, h=e[0]: abs(((at - h) * np.conj(n)).real)
-                    side = np.sign(((e - b) * np.conj(normal)).imag)
-                    closes = lambda at, r=reach, f=height: f(at) <= r  # noqa: E731
-                else:
-                    pivot = complex(*follower.pivot[:2]) / follower.pivot[2]
-                    normal = complex(*follower.point[:2]) / np.hypot(*follower.point[:2])
-                    far = abs(((pivot - b0) * np.conj(normal)).real)
-                    side = np.sign(((pivot - b) * np.conj(rotation * normal)).imag)
-                    closes = lambda at, r=far, p=pivot: np.abs(at - p) >= r  # noqa: E731
-                good = False
+                normal = complex(*follower.pivot[:2]) / np.hypot(*follower.pivot[:2])
+                e = z + rotation * (complex(*follower.point[:2]) / follower.point[2] - z[0])
+                side, good = np.sign(((e - b) * np.conj(normal)).imag), False
                 for way in (1.0, -1.0):
                     steps = np.mod(way * np.diff(np.angle(b - a)), math.tau)
                     path = np.angle(b0 - a) + way * np.linspace(0.0, np.sum(steps), 4001)
-                    at = a + abs(b0 - a) * np.exp(1j * path)
-                    good |= bool(np.sum(steps) <= math.tau and np.all(closes(at)) and np.all(side == side[0]))
+                    away = np.abs(((a + abs(b0 - a) * np.exp(1j * path) - e[0]) * np.conj(normal)).real)
+                    good |= bool(np.sum(steps) <= math.tau and np.all(away <= abs(e[0] - b0)) and np.all(side == side[0]))
                 assert good == (not defects(z, turns, driver, follower))
-                seen.add((follower.kind, good))
-    assert len(seen) == 4
+                seen.add(good)
+    assert len(seen) == 2
 
 
 def cranked(rng):
@@ -336,132 +326,3 @@ def test_a_wrong_root_is_not_certified():
     assert five_poses.certified(q, bound, point, pivot)
     assert not five_poses.certified(q, bound, point + np.array([0.3, 0.0, 0.0]), pivot)
     assert not five_poses.certified(q, 1e15 * bound, point, pivot)
-
-
-def rule(dyad, z0):
-    """The constraint of a dyad on a body whose point z0 has moved to `place` and that has turned, and its slopes."""
-    w, v = dyad.point[2], dyad.pivot[2]
-    if dyad.inverted:
-        normal, pivot = complex(*dyad.point[:2]) / np.hypot(*dyad.point[:2]), complex(*dyad.pivot[:2]) / v
-        level = ((pivot - z0) * np.conj(normal)).real
-
-        def value(place, turned):
-            n = np.exp(1j * turned) * normal
-            return ((pivot - place) * np.conj(n)).real - level, [-n.real, -n.imag, ((pivot - place) * np.conj(1j * n)).real]
-
-        return value
-    arm = complex(*dyad.point[:2]) / w - z0
-    if dyad.slider:
-        normal = complex(*dyad.pivot[:2]) / np.hypot(*dyad.pivot[:2])
-
-        def value(place, turned):
-            r = np.exp(1j * turned) * arm
-            return ((place + r - z0 - arm) * np.conj(normal)).real, [normal.real, normal.imag, (1j * r * np.conj(normal)).real]
-
-        return value
-    pivot = complex(*dyad.pivot[:2]) / v
-    square = abs(z0 + arm - pivot) ** 2
-
-    def value(place, turned):
-        r = np.exp(1j * turned) * arm
-        away = place + r - pivot
-        return 0.5 * (abs(away) ** 2 - square), [away.real, away.imag, (away * np.conj(1j * r)).real]
-
-    return value
-
-
-def driven_through(z, turns, driver, follower, count=60):
-    """Whether a sliding driver leads the body through all poses in order, by Newton steps from one place to the next.
-
-    The determinant of the constraints changes its sign where the motion is no longer determined, or passes through infinity.
-    """
-    rules = [rule(driver, z[0]), rule(follower, z[0])]
-    if driver.slider:
-        normal, arm = (
-            complex(*driver.pivot[:2]) / np.hypot(*driver.pivot[:2]),
-            complex(*driver.point[:2]) / driver.point[2] - z[0],
-        )
-        tangent = 1j * normal
-        ways = ((np.asarray(z) + np.exp(1j * (turns - turns[0])) * arm) * np.conj(tangent)).real
-        paths = [ways] if np.all(np.diff(ways) > 0.0) or np.all(np.diff(ways) < 0.0) else []
-    else:
-        sums = [np.concatenate([[0.0], np.cumsum(np.mod(way * np.diff(turns), math.tau))]) for way in (1.0, -1.0)]
-        paths = [way * one for way, one in zip((1.0, -1.0), sums, strict=True) if one[-1] <= math.tau]
-    for path in paths:
-        at, good, sense = np.array([z[0].real, z[0].imag, 0.0]), True, 0.0
-        for k in range(1, len(path)):
-            for target in np.linspace(path[k - 1], path[k], count + 1)[1:]:
-                for _ in range(25):
-                    place = complex(at[0], at[1])
-                    if driver.slider:
-                        r = np.exp(1j * at[2]) * arm
-                        third = ((place + r) * np.conj(tangent)).real - target
-                        row = [tangent.real, tangent.imag, (1j * r * np.conj(tangent)).real]
-                    else:
-                        third, row = at[2] - target, [0.0, 0.0, 1.0]
-                    values, slopes = zip(*(one(place, at[2]) for one in rules), strict=True)
-                    matrix = np.array([*slopes, row])
-                    if not abs(np.linalg.det(matrix)) > 1e-12:
-                        good = False
-                        break
-                    step = np.linalg.solve(matrix, np.array([*values, third]))
-                    at = at - step
-                    if np.max(np.abs(step)) < 1e-9:
-                        sense = sense or np.linalg.det(matrix)
-                        good = sense * np.linalg.det(matrix) > 0.0
-                        break
-                else:
-                    good = False
-                if not good:
-                    break
-            good = (
-                good
-                and abs(complex(at[0], at[1]) - z[k]) < 1e-5
-                and abs(np.exp(1j * at[2]) - np.exp(1j * (turns[k] - turns[0]))) < 1e-5
-            )
-            if not good:
-                break
-        if good:
-            return True
-    return False
-
-
-def sliding_drives(count, seed, steps):
-    """Numbers of compared sliding drives, of equal verdicts, and of usable ones, by kinds."""
-    compared, equal, kinds = 0, 0, {}
-    for z, turns, _ in known_sets(count, seed):
-        found = dyads(z, turns).real
-        for driver in (d for d in found if d.kind != "RR"):
-            for follower in (d for d in found if d is not driver):
-                passes = driven_through(np.array(z), turns, driver, follower, steps)
-                compared, equal = compared + 1, equal + (passes == (not defects(z, turns, driver, follower)))
-                key = driver.kind, follower.kind, passes
-                kinds[key] = kinds.get(key, 0) + 1
-    return compared, equal, kinds
-
-
-def test_defects_of_sliding_drives_equal_stepping():
-    compared, equal, kinds = sliding_drives(12, 5, 16)
-    assert compared == equal > 8
-    assert {passes for *_, passes in kinds} == {True, False}
-
-
-@pytest.mark.slow
-def test_defects_of_116_sliding_drives_equal_stepping():
-    compared, equal, kinds = sliding_drives(60, 5, 40)
-    assert compared == equal == 116
-    assert len(kinds) == 8
-
-
-def test_a_slider_that_drives_cannot_leap_over_the_folded_position():
-    """A coupler of 3 and a rocker of 1 about a point of the line: the slider is 2 to 4 away from it."""
-    ways = np.array([-3.5, -3.0, 2.5, 3.0, 3.5])
-    joints = np.sign(ways) * np.exp(-1j * np.arccos((1.0 + ways**2 - 9.0) / (2.0 * np.abs(ways))))
-    driver = five_poses.link(complex(ways[0]), 1j, 1.0, slides=True)
-    follower = five_poses.link(complex(joints[0]), 0j, 1.0)
-    assert np.abs(joints - ways) == pytest.approx(3.0)
-    sides = np.sign(((joints - ways) * np.conj(joints)).imag)
-    for chosen, expected in (([0, 1, 2, 3, 4], ("circuit",)), ([0, 1], ()), ([0, 1, 0], ("order",))):
-        assert len(set(sides[chosen])) == 1
-        turned = np.angle(joints - ways)[chosen]
-        assert defects(ways[chosen] + 0j, turned, driver, follower) == expected

@@ -66,7 +66,7 @@ def test_limits_and_bounds_are_reasons():
         one.values["rocker"] > 0.1 and not {"branch", "order", "circuit"} & {*one.reasons}
         for one in tight.exact_solutions.solutions
     )
-    assert tight.exact_solutions.reasons["outside your bounds (rocker 2 ... 100)"] == outside > 0
+    assert tight.exact_solutions.reasons["outside your bounds (rocker 2 ... 100 mm)"] == outside > 0
     assert any(
         one.reasons == ("outside your bounds: rocker 210.2 mm, allowed 2 ... 100",) for one in tight.exact_solutions.solutions
     )
@@ -79,7 +79,14 @@ def test_limits_and_bounds_are_reasons():
     assert sum('assembly: it needs "right"' in one.reasons for one in left.exact_solutions.solutions) > 1
     ways = [optlink.synthesis.exact(file.override({"requirement.rotation": way})) for way in ("clockwise", "counter-clockwise")]
     assert sum(one.exact_solutions.usable for one in ways) == 4
-    assert any("rotation: the crank turns counter-clockwise" in one.reasons for one in ways[0].exact_solutions.solutions)
+    assert any(one.reasons == ("rotation: the crank does not turn clockwise",) for one in ways[0].exact_solutions.solutions)
+
+
+def test_a_crank_that_turns_in_another_inversion_is_told():
+    file = optlink.load("motion-5-poses").override({"limits.crank": "double-crank"})
+    reasons = {reason for one in optlink.synthesis.exact(file).exact_solutions.solutions for reason in one.reasons}
+    assert "crank: turns fully, but it is that of a crank-rocker; a double-crank is required" in reasons
+    assert "crank: does not turn fully (triple-rocker (non-Grashof))" in reasons
 
 
 def test_a_search_begins_with_the_exact_solutions(tmp_path):
@@ -105,7 +112,7 @@ def test_a_file_may_want_exact_designs_alone():
     file = optlink.load(POSES / "known-0.toml").override({"requirement.exact": True})
     result = optlink.solve(file)
     assert (result.backend, result.starts, len(result.designs)) == ("none", 0, 4)
-    with pytest.raises(optlink.InputError, match="listed exact solutions"):
+    with pytest.raises(optlink.InputError, match="no list of exact solutions of 3 poses"):
         optlink.solve(optlink.load("motion-3-poses").override({"requirement.exact": True}))
 
 
@@ -360,7 +367,7 @@ def test_a_repeated_point_is_told():
 
 
 def test_problems_of_other_kinds_are_refused():
-    with pytest.raises(optlink.InputError, match="listed exact solutions"):
+    with pytest.raises(optlink.InputError, match="no list of exact solutions of 3 poses"):
         optlink.synthesis.exact("motion-3-poses")
 
 

@@ -88,7 +88,7 @@ def test_four_points_of_a_function_have_a_family_of_four_bars():
     result = optlink.synthesis.exact(optlink.read(raw))
     check(result, least_angle(*sizes, 0.1))
     assert result.exact_solutions.sentence.startswith(
-        "four points of a function: 2 closed curves of couplers; 60.3% of 1000 four-bars"
+        "four points of a function: 2 closed curves of couplers; 60.2% of 1000 four-bars"
     )
     short = optlink.synthesis.exact(optlink.read(raw), by="total length").designs[0]
     assert sum(short.values[name] for name in ("crank", "coupler", "rocker")) <= sum(sizes)
@@ -195,6 +195,19 @@ def test_three_precision_points_equal_the_equations_of_freudenstein():
     result = optlink.synthesis.exact(turned)
     assert result.best.exact
     assert result.exact_solutions.solutions[0].between > 0.0
+
+
+def test_positions_that_have_no_list_are_refused_with_what_has_one():
+    for count, changes, words in (
+        (2, {}, "no list of exact solutions of 2 positions. Give 4 or 5 positions"),
+        (4, {"requirement.psi0": "90 deg"}, "of 4 positions with psi0 given"),
+        (6, {}, "of 6 positions"),
+    ):
+        file = optlink.read(LOG).override({"requirement.points": count, **changes})
+        with pytest.raises(optlink.InputError, match=words):
+            optlink.synthesis.exact(file)
+    two = optlink.solve(optlink.read(LOG).override({"requirement.points": 2}), starts=4)  # as the remedy says
+    assert two.best.exact
 
 
 SAID = [

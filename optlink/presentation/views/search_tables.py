@@ -42,7 +42,7 @@ from optlink.presentation.table_spec import (
     verdict,
 )
 from optlink.problem.machine.model import ShownObjective
-from optlink.solvers.contract import FOUND, LEAST_SQUARES
+from optlink.solvers.contract import METHODS
 from optlink.solvers.solution import LimitState, Relaxation
 from optlink.tasks.results.certificate import MOST_DRAWN, Certificate, Cover, share_text, verdict_words
 from optlink.tasks.results.common import Evidence
@@ -567,8 +567,8 @@ def backends(outcome: SynthesisResult) -> TableSpec:
     for name in model.free:
         factor, unit = model.display(name)
         rows.append((name, *(fixed(solution.design[name] * factor, 5) for solution in solutions), unit))
-    methods = [LEAST_SQUARES if solution.message == FOUND else name for name, solution in outcome.backends.items()]
-    if LEAST_SQUARES in methods:
+    methods = [METHODS.get(solution.message, name) for name, solution in outcome.backends.items()]
+    if methods != [*outcome.backends]:
         rows.append(("found by", *methods, ""))
     rows.append(("steps", *(str(solution.iterations) for solution in solutions), ""))
     rows.append(("KKT residual", *(f"{solution.kkt:.1e}" for solution in solutions), ""))

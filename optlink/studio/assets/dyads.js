@@ -4,8 +4,9 @@ import { pathOf } from "./linkage.js";
 
 const REACH = 14; // distance from a curve at which a dyad is picked [px]
 const FIRST = "Pick the driver on a blue part: its pivot (solid) or its point on the body at pose 1 (dashed).";
-const SECOND = "Pick its partner on a green part: each is a four-bar that passes all poses.";
-const NONE = "This driver has no partner without a defect. Pick another driver.";
+const SECOND = "Pick its partner on a green part: each is a four-bar that passes all poses within your bounds.";
+const NONE = "This driver has no partner within your bounds and limits. Pick another driver.";
+const NO_DRIVER = "No two of these dyads are a four-bar that passes all poses within your bounds and limits. Widen them, or list the exact solutions (X), which name the bounds.";
 
 export class Dyads {
   // `actions`: ask(fields) of the server, hint(text)
@@ -32,7 +33,7 @@ export class Dyads {
   take({ points, pivots, drives, driver, usable }) {
     if (this.wanted && points) {
       this.curves = { points, pivots, drives };
-      this.actions.hint(FIRST);
+      this.actions.hint(drives.includes(true) ? FIRST : NO_DRIVER);
     } else if (this.wanted && this.curves) {
       Object.assign(this, { driver, usable });
       this.actions.hint(usable.includes(true) ? SECOND : NONE);

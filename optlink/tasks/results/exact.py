@@ -121,7 +121,8 @@ def _cause(reason: str) -> str:
     """Return a reason without the figures of a linkage, but with the bound that it exceeds."""
     cause, _, rest = reason.partition(": ")
     size, allowed, bound = rest.partition(", allowed ")
-    return f"{cause} ({size.split()[0]} {bound})" if allowed else cause
+    name, _, unit = size.partition(" ")
+    return f"{cause} ({name} {bound} {unit.partition(' ')[2]}".rstrip() + ")" if allowed else cause
 
 
 def document(found: ExactSolutions, displayed: Callable[[Mapping[str, float]], Mapping[str, float]]) -> dict[str, Any]:
