@@ -299,10 +299,7 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     if not isinstance(text, str):
         if abs(text) > 1e300 or not math.isfinite(text):
             raise UnitProblem(f"{quantity} must be finite", remedy)
-        results = () if OPTIONS_NAMED.get() else (expected_kind.si.replace("**", "^"),)  # a length is typed in mm
-        units = dict.fromkeys((expected_kind.display, *results))
-        written = " or ".join(f'"{text:.12g} {unit}"' for unit in units)
-        raise UnitProblem(f"{quantity} needs a unit", f"Write {written}, with the quotes")
+        raise UnitProblem(f"{quantity} needs a unit", f"Write {_with_units(f'{text:.12g}', expected_kind)}, with the quotes")
     text = plain(text[:201])
     match = _QUANTITY.fullmatch(text) if len(text) <= 200 else None
     if match is None or _UNIT.fullmatch(match[2] or "m") is None:
@@ -311,12 +308,18 @@ def parse(text: object, kind: str) -> tuple[float, str]:
         raise UnitProblem(f"this is not {quantity}", remedy)
     number, unit = match.groups()
     if unit is None and expected_kind.si:
-        raise UnitProblem(f"{quantity} needs a unit", f'Write "{number} {expected_kind.display}"')
+        raise UnitProblem(f"{quantity} needs a unit", f"Write {_with_units(number, expected_kind)}")
     known_unit = _unit(unit or "", kind)
     value = float(number) * known_unit.scale
     if not math.isfinite(value):
         raise UnitProblem(f"{quantity} must be finite", remedy)
     return value, known_unit.symbol
+
+
+def _with_units(number: str, kind: Kind) -> str:
+    """Return a number with the units that were probably meant: that of display, and SI, which is not typed in a command."""
+    units = dict.fromkeys((kind.display, *(() if OPTIONS_NAMED.get() else (kind.si.replace("**", "^"),))))
+    return " or ".join(f'"{number} {unit}"' for unit in units)
 
 
 def _check_form(text: str, kind: str) -> None:

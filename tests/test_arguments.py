@@ -233,6 +233,22 @@ def test_a_batch_of_designs_moves_as_each_of_them() -> None:
         assert np.array_equal(row, linkage.sweep(linkage.four_bar(-1), {**SIZES, "crank": crank}, angles, speed=2).velocity("C"))
 
 
+class Table:
+    """Numbers of another package, which cannot be compared to one number."""
+
+    def __array__(self, *_, **__):
+        return np.array([0.48, 0.5])
+
+    __hash__ = None
+
+    def __eq__(self, other):
+        raise ValueError("the truth value is ambiguous")
+
+
+def named(machine):
+    return 1.0
+
+
 @pytest.mark.parametrize("method", ["position", "velocity", "acceleration", "margin", "body_angle", "body_rate", "slide"])
 def test_an_unknown_part_of_a_motion_is_named(method) -> None:
     motion = linkage.sweep(linkage.four_bar(), SIZES, [0.1])
@@ -255,6 +271,18 @@ def test_an_unknown_part_of_a_motion_is_named(method) -> None:
         (lambda: optlink.solve(LAW, certify=1), "certify = 1: neither True nor False"),
         (lambda: optlink.validate(LAW, {"coupler": "0.4", "rocker": 0.2}), 'design.coupler = "0.4": a length needs a unit'),
         (lambda: optlink.validate(LAW, {3: 0.4}), "design.3 = 3: not a text"),
+        (
+            lambda: optlink.analyze(LAW, design={"coupler": -0.4, "rocker": 0.2}),
+            "design.coupler = -0.4: a length must be positive",
+        ),
+        (
+            lambda: optlink.load("crank-rocker", {"mechanism.frame": Table()}),
+            r"mechanism.frame = \[0.48, 0.5\]: this is not a length",
+        ),
+        (lambda: optlink.load("crank-rocker", {"mechanism.frame": "0.48"}), 'Write "0.48 mm" or "0.48 m"'),
+        (lambda: optlink.objective(measure="max"), 'measure = "max": no such value. Known: .*rms'),
+        (lambda: optlink.objective(abs), "objective takes no argument without a name"),
+        (lambda: optlink.load("crank-rocker", optlink.objective()(named)), "overrides = .*not a mapping.* Give its changes"),
         (lambda: optlink.analyze(MACHINE, speed="64 rpm"), 'speed = "64 rpm": not a number'),
         (lambda: optlink.analyze_batch(MACHINE, {"crank.length": "x"}), "this is not a length"),
         (lambda: optlink.analyze_batch(MACHINE, {}, "input.torque_Nm"), "columns = .*not a list"),

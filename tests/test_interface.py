@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -174,8 +176,24 @@ def test_a_linkage_is_drawn_where_its_joints_spread() -> None:
 
 def test_a_position_out_of_reach_is_refused() -> None:
     result = optlink.analyze(optlink.load("slider-crank", {"drive.start": "20 deg", "drive.range": ["15 deg", "60 deg"]}), 12)
-    with pytest.raises(InputError, match=r"angle = \"5156\.62 deg\": .*Give an angle within"):
-        result.plot(angle=90.0)
+    with pytest.raises(InputError, match=r"angle = \"85\.9437 deg\": .*Give an angle within"):
+        result.plot(angle=1.5)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda result: result.plot(angle=90), "angle = 90.0: 90 rad are 14.3 turns. .*90 deg are 1.5708"),
+        (lambda result: optlink.export(result, "never.dxf", at=90, even_invalid=True), "at = 90.0: 90 rad are 14.3 turns"),
+        (lambda result: result.plot(3), "name = 3: not the name of a picture. Axes are given as ax=axes"),
+        (lambda result: result.plot(ax=np.zeros(2)), "ax = .*: no axes of matplotlib"),
+        (lambda result: result.animate(10.5), "frames = 10.5: not a whole number"),
+        (lambda result: result.to_latex(3), "buf = 3: no file"),
+    ],
+)
+def test_an_argument_of_a_result_is_refused_in_a_sentence(call: Callable[[Any], object], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        call(RESULTS["design"]())
 
 
 def test_every_result_moves(result: Document) -> None:

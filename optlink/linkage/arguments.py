@@ -74,7 +74,8 @@ def _faults_of_call(
     ]
     twice = [Fault(f"given twice to {function}", "Give it once", key=name) for name in names[:count] if name in kwargs]
     other = next(iter(elsewhere.values()), remedy)
-    many = [Fault(f"{function} takes at most {places} arguments without a name", other)] if count > places else []
+    most = f"at most {places} arguments" if places else "no argument"
+    many = [Fault(f"{function} takes {most} without a name", other)] if count > places else []
     missing = [
         Fault(f"{function} needs this argument", remedy, key=name)
         for name in names[count:]

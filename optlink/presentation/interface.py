@@ -136,7 +136,7 @@ def export(
     ...     optlink.export("shaper", pathlib.Path(folder) / "shaper.dxf", hole=8e-3).name  # [m]
     'shaper.dxf'
     """
-    from optlink.presentation.export.export import FORMATS, Options, export as write
+    from optlink.presentation.export.export import FORMATS, Options, check_unit_of_place, export as write
     from optlink.presentation.files import check_target
 
     path = check_target(Path(file), tuple(FORMATS), "drawing.dxf", "file")
@@ -144,6 +144,8 @@ def export(
     model = single_design(page_content(source, {}))
     if not (model.valid or even_invalid):
         raise InputError(f"{model.verdict}. Nothing was written", "Set even_invalid to write it anyway", model.problem.file)
+    if model.cycle is not None:
+        check_unit_of_place(model.cycle, at, "at")
     write(model, path, options)
     return path
 
@@ -197,13 +199,17 @@ def picture(result: Document, name: str) -> Figure:
     return drawn
 
 
-def plot(result: Document, name: str | None, axes: Axes | None, angle: float | None) -> Figure | Axes:
+def plot(result: Document, name: str | None, ax: Axes | None, angle: float | None) -> Figure | Axes:
     """Draw a picture of a result by its name, or its linkage; see `Document.plot`."""
     if name is None:
         from optlink.presentation.linkage_mpl import draw_linkage
 
-        return draw_linkage(result, axes, angle)
-    if axes is not None or angle is not None:
+        return draw_linkage(result, ax, angle)
+    if not isinstance(name, str):
+        raise InputError(
+            "not the name of a picture", "Axes are given as ax=axes, a crank angle as angle=1.2", key="name", value=name
+        )
+    if ax is not None or angle is not None:
         message = "a picture by name has axes and positions of its own"
         raise InputError(message, "Leave the name out to draw the linkage", key="ax" if angle is None else "angle")
     return picture(result, name)
@@ -268,6 +274,8 @@ def to_latex(result: Document, buf: str | Path | TextIO | None, name: str | None
         with whole(Path(buf)) as temporary:
             temporary.write_text(text, encoding="utf-8")
     elif buf is not None:
+        if not hasattr(buf, "write"):
+            raise InputError("no file", 'Give its path, for example "table.tex", or an open one', key="buf", value=buf)
         buf.write(text)
     return text
 
@@ -285,7 +293,6 @@ def in_frame(table: Mapping[str, Iterable[float | str]], problem: ProblemFile, u
         import pandas
     except ImportError:
         raise InputError("to_frame needs the package pandas, which is not installed", extra_remedy("frame")) from None
-    check_choice("units", units, ("SI", "file"), "no such units")
     wanted = file_units(problem) if units == "file" else {}
     columns = [in_units(key, values, wanted) for key, values in table.items()]
     frame = pandas.DataFrame({column.key: column.values for column in columns})

@@ -13,7 +13,7 @@ from optlink.errors import InputError
 from optlink.linkage.arguments import check_number
 from optlink.linkage.motion import sweep
 from optlink.presentation.drawing import Sketch
-from optlink.presentation.export.export import place_of
+from optlink.presentation.export.export import check_unit_of_place, place_of
 from optlink.presentation.format import single_units
 from optlink.presentation.html.moving_linkage import Moving
 from optlink.presentation.html.page import moving_linkage
@@ -21,6 +21,7 @@ from optlink.presentation.labels import lay_out
 from optlink.presentation.scene import MM
 from optlink.presentation.shapes import even
 from optlink.presentation.style import HALO, apply_style, figure, heading, legible, notebook_figure, styled
+from optlink.problem.arguments import typed
 from optlink.problem.document import Document
 
 STEPS = 120  # positions per revolution of traces
@@ -80,13 +81,16 @@ def _pose(sketch: Sketch, axes: Axes, k: int) -> list[Artist]:
     return artists
 
 
-def draw_linkage(result: Document, axes: Axes | None = None, angle: float | None = None) -> Axes:
+@typed
+def draw_linkage(result: Document, ax: Axes | None = None, angle: float | None = None) -> Axes:
     """Draw the linkage of a result at a crank angle [rad]; see `Document.plot`."""
+    axes = ax
     with single_units():
         moving, sketch = _moving(result)
         machine, cycle = moving.cycle.machine, moving.cycle
         at = float(sketch.shown.crank_angle[_most_open(sketch)])
         if angle is not None:
+            check_unit_of_place(cycle, angle, "angle")
             at = place_of(cycle, check_number("angle", angle), "angle")
         sketch = sketch.moved(sweep(machine.mechanism, machine.sizes, [at], cycle.speed))
         if axes is None:
@@ -103,6 +107,7 @@ def draw_linkage(result: Document, axes: Axes | None = None, angle: float | None
 
 
 @styled
+@typed
 def animate_linkage(result: Document, frames: int = 48) -> LinkageAnimation:
     """Return the linkage of a result in motion; see `Document.animate`."""
     if not 2 <= frames <= MOST_FRAMES:

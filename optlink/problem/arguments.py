@@ -31,6 +31,7 @@ WRONG = {
     "dict": ("not a mapping of names to values", "Give SI values by name, for example result.design"),
     "callable": ("not a function", "Give one, or leave it out"),
     "_buffer": ("not an array of numbers", "Give a list or an array of them, in SI units"),
+    "axes": ("no axes of matplotlib", "Give one such as figure.add_subplot(), of several axes one: ax=axes[0]"),
     "is": ("not a problem", "Give what optlink.load returns, the name of a shipped problem, or the path of a file"),
 }
 """Message and remedy by the first word of the type of pydantic's error."""
@@ -114,6 +115,10 @@ def _fault(item: Any) -> Fault:
     kind = item["type"].partition("_")[0]
     kind = item["ctx"]["class"].lower() if kind == "is" and item["ctx"]["class"] != "ProblemFile" else kind
     message, remedy = WRONG.get(kind, (item["msg"], "See the description of the function"))
+    if kind == "literal":
+        message, remedy = "no such value", f"Known: {item['ctx']['expected']}"
+    if kind in ("mapping", "dict") and hasattr(item["input"], "changes"):
+        remedy = "Give its changes"
     if message == WRONG["is"][0] and hasattr(item["input"], "problem"):
         remedy = "Of a result give its problem, or its machine, which has the dimensions of the design"
     if isinstance(item["input"], dict) and item["type"].startswith("string"):

@@ -476,9 +476,9 @@ def _parse(text: str, file: str) -> dict[str, Any]:
 
 
 def _without_arrays(raw: Any, depth: int = 0) -> Any:
-    """Return nested tables with the numbers and lists of Python in place of those of numpy, and of tuples."""
-    if isinstance(raw, np.generic | np.ndarray):
-        return raw.tolist()
+    """Return nested tables with the numbers and lists of Python in place of those of numpy and pandas, and of tuples."""
+    if hasattr(raw, "__array__"):
+        return np.asarray(raw).tolist()
     if isinstance(raw, Mapping) and depth < DEEPEST:
         stated = ((key, value) for key, value in raw.items() if value is not None or depth == 0)
         return {key: _without_arrays(value, depth + 1) for key, value in stated}

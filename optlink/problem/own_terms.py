@@ -130,7 +130,7 @@ def _kind(unit: str) -> str:
     """Return the kind of quantity of a unit; empty for a plain number."""
     kind = kind_of_unit(unit) if unit else ""
     if kind is None:
-        remedy = f"Write one of {', '.join(one.display for one in KINDS.values() if one.display)}"
+        remedy = f"Write one of {', '.join(dict.fromkeys(one.display for one in KINDS.values() if one.display))}"
         raise InputError(f'"{unit}" is not a unit', remedy, key="unit", value=unit)
     return kind
 
@@ -138,7 +138,11 @@ def _kind(unit: str) -> str:
 def _value(formula: Formula, *arguments: Any) -> Value:
     """Return the value of a function of the user; an error names the function, and its line that fails."""
     try:
-        return 0.0 + formula(*arguments)
+        value = formula(*arguments)
+        if value is None or isinstance(value, str | tuple | list | dict):
+            given = "nothing" if value is None else f"a {type(value).__name__}"
+            raise InputError(f"this function returns {given}", "Return one number", key=formula.__name__)
+        return 0.0 + value
     except OptlinkError:
         raise
     except Exception as error:  # whatever a function of a user raises
@@ -146,6 +150,8 @@ def _value(formula: Formula, *arguments: Any) -> Value:
         text = str(error).partition("\n")[0].rstrip(".")
         message = f"this function cannot be evaluated{''.join(lines)}: {type(error).__name__}: {text}"
         remedy = "Return one number, computed by operators and functions of numpy from the motion and the reactions, without if"
+        if isinstance(error, AttributeError) and error.name:
+            remedy = nearest(error.name, [name for name in dir(error.obj) if not name.startswith("_")])
         if isinstance(error, KeyError):
             moving = arguments[0]
             names = [*moving.machine.mechanism.bodies, *moving.pose.points, *moving.slides]
@@ -155,7 +161,11 @@ def _value(formula: Formula, *arguments: Any) -> Value:
 
 def _registered(formula: Formula, kind: str) -> str:
     """Register a function as a quantity and return its name, which is that of the function with spaces."""
+    if not getattr(formula, "__name__", "").isidentifier():  # its name is that of the quantity
+        raise InputError("only a function with a name can be an objective or a limit", "Define it with def", value=formula)
     name, forces = formula.__name__.replace("_", " "), len(inspect.signature(formula).parameters) > 1
+    if QuantityType.registry.get(name) not in (None, OWN.get(name)):
+        raise InputError("optlink has a quantity of this name", "Give the function another one", key=formula.__name__)
     quantity = QuantityType(
         name,
         kind,
@@ -164,8 +174,7 @@ def _registered(formula: Formula, kind: str) -> str:
         history=lambda record, _: record.full(_value(formula, record.moving, *[record.reactions for _ in range(forces)])),
         forces=forces,
     )
-    if name in OWN and QuantityType.registry.get(name) is OWN[name]:
-        del QuantityType.registry[name]
+    QuantityType.registry.pop(name, None)
     register(quantity)
     OWN[name] = quantity
     return name

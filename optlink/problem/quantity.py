@@ -196,16 +196,28 @@ def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
     """
     with below(key, text):
         value, unit = parse(text, kind)
-        if kind == "length" and value <= 0.0:
-            raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"')
-        if kind == "length" and not SHORTEST <= value <= LONGEST:
-            raise Unusable("no linkage has such a length", "Give one between 1e-9 m and 1000 km, and check its unit")
-        if kind == "ratio" and not LEAST_RATIO <= abs(value) <= 1.0 / LEAST_RATIO:
-            raise Unusable("out of range", "Give a ratio from 0.0001 to 10000, negative for opposite senses")
-        if abs(value) > largest(kind):
-            remedy = f'Give at most {largest(kind):.0e} {KINDS[kind].si}, for example "{KINDS[kind].example}", and check its unit'
-            raise Unusable("the value is too large", remedy)
+        check_scalar(value, kind)
     return value, unit
+
+
+def check_scalar(value: float, kind: str) -> None:
+    """Refuse a value [SI] that no quantity of its kind has.
+
+    Raises
+    ------
+    Unusable
+    """
+    if not math.isfinite(value):
+        raise Unusable("not a finite number", "Give one in SI units")
+    if kind == "length" and value <= 0.0:
+        raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"')
+    if kind == "length" and not SHORTEST <= value <= LONGEST:
+        raise Unusable("no linkage has such a length", "Give one between 1e-9 m and 1000 km, and check its unit")
+    if kind == "ratio" and not LEAST_RATIO <= abs(value) <= 1.0 / LEAST_RATIO:
+        raise Unusable("out of range", "Give a ratio from 0.0001 to 10000, negative for opposite senses")
+    if abs(value) > largest(kind):
+        remedy = f'Give at most {largest(kind):.0e} {KINDS[kind].si}, for example "{KINDS[kind].example}", and check its unit'
+        raise Unusable("the value is too large", remedy)
 
 
 def read_quantity(raw: object, kind: str) -> Quantity:

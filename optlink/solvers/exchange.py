@@ -176,12 +176,25 @@ def integral_error(solution: Solution) -> float:
     return float(terms.integral_error(nlp.given | solution.design, solution.x[nlp.first_event : nlp.first_level]))
 
 
+def has_accurate_integrals(solution: Solution) -> bool:
+    """Return whether the integrals of a solution are accurate, or have as many positions as are used.
+
+    A square root of an integral has second derivatives by each two positions, and half of the positions: squares have no kinks
+    where values change their signs.
+    """
+    terms = solution.nlp.terms
+    if terms is None or integral_error(solution) <= INTEGRAL_TOLERANCE:
+        return True
+    dense = any(term.how == "rms" for term in terms.trace.terms)
+    return bool((2 if dense else 1) * terms.count >= MOST_NODES)
+
+
 def with_accurate_integrals(solution: Solution, method: str, programme: Callable[[TermCourse], NLP]) -> Solution:
     """Return an optimum with so many positions that its integrals are accurate.
 
     `programme` returns the one of a course with more positions, `method` searches from the optimum there.
     """
-    while solution.usable and integral_error(solution) > INTEGRAL_TOLERANCE and solution.nlp.terms.count < MOST_NODES:
+    while solution.usable and not has_accurate_integrals(solution):
         nlp, terms = solution.nlp, solution.nlp.terms
         more = programme(TermCourse(terms.problem, solution.design, terms.trace, terms.structure, 2 * terms.count))
         values = {v.name: v.value(float(y)) for v, y in zip(nlp.variables, solution.x, strict=True)}

@@ -19,7 +19,7 @@ from optlink.problem.limits import Reach
 from optlink.problem.machine.model import Problem
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
-from optlink.solvers.exchange import INTEGRAL_TOLERANCE, MOST_NODES, RADIUS, at_edge, largest_excess, misfit, solve_semi_infinite
+from optlink.solvers.exchange import RADIUS, at_edge, has_accurate_integrals, largest_excess, misfit, solve_semi_infinite
 from optlink.solvers.solution import Solution
 from optlink.studies.batch_optima import FOLLOWED, BatchProblem, keep
 from optlink.units import DISPLAYED, KINDS, factor
@@ -152,11 +152,9 @@ def in_order(solution: Solution) -> bool:
     terms, nlp = solution.nlp.terms, solution.nlp
     if terms is None:
         return True
-    values = nlp.given | solution.design
-    if at_edge(solution) or (terms.events and misfit(terms.trace, terms.structure, values)):
+    if at_edge(solution) or (terms.events and misfit(terms.trace, terms.structure, nlp.given | solution.design)):
         return False
-    events = solution.x[nlp.first_event : nlp.first_level]
-    return not terms.integral or terms.count >= MOST_NODES or terms.integral_error(values, events) <= INTEGRAL_TOLERANCE
+    return has_accurate_integrals(solution)
 
 
 def limit_key(part: DesignProblem) -> str:

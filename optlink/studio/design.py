@@ -44,6 +44,7 @@ from optlink.units import DISPLAYED
 from optlink.validation.check import Check
 from optlink.validation.design import deviations
 from optlink.validation.motion import transmission_angles
+from optlink.validation.timing import in_first_cycle
 
 # Continuation of an optimum while the problem changes: programmes that are traced once and whose parameters move.
 #
@@ -253,7 +254,8 @@ class _Synthesis(_Searched):
         return "law" if model.law_given and not isinstance(model.requirement.law, Function) else kind
 
     def values(self, model: Any, solution: Solution) -> tuple[dict[str, float], Array | None]:
-        return solved_values(model, solution.design, solution.x)
+        values, angles = solved_values(model, solution.design, solution.x)
+        return values, in_first_cycle(model, angles)
 
     def objective(self, model: Any, value: float) -> ShownObjective:
         shown = model.shown_objective(value)

@@ -28,6 +28,7 @@ from optlink.tasks.results.exact import BY_TRANSMISSION, ExactSolution, ExactSol
 from optlink.tasks.search import mode_of
 from optlink.units import KINDS, factor
 from optlink.validation import validate
+from optlink.validation.timing import in_first_cycle
 
 THREE = 3
 CONDITIONS = 10  # of five poses with free timing or five timed points, on as many design variables of a four-bar
@@ -209,7 +210,7 @@ class FiveTargets:
         full = task.design({name: values[name] for name in task.free})
         if task.data.offsets is None:
             way = min((1.0, -1.0), key=lambda sign: float(np.sum(np.mod(sign * np.diff(phi), TURN))))
-            angles = phi[0] + way * np.concatenate([[0.0], np.cumsum(np.mod(way * np.diff(phi), TURN))])
+            angles = in_first_cycle(task, phi[0] + way * np.concatenate([[0.0], np.cumsum(np.mod(way * np.diff(phi), TURN))]))
         else:
             angles = task.crank_angles(full, None)
         checked = validate(task, full, angles)

@@ -15,7 +15,7 @@ from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.driving import Driving
 from optlink.problem.file import ProblemFile, check_plausible
-from optlink.problem.quantity import check_choice, input_of, read_quantity
+from optlink.problem.quantity import check_choice, check_scalar, input_of, read_quantity
 from optlink.units import KINDS
 
 _machines: dict[int, Machine] = {}
@@ -57,12 +57,12 @@ def check_design(problem: ProblemFile, design: Mapping[str, float | str] | None)
         known = problem.model.complete({}) if design else {}
     for name, value in (design or {}).items():
         check_choice("--design", name, known, UNKNOWN_QUANTITY, problem.file)
-        if isinstance(value, str):
-            with input_of(problem.file, f"design.{name}", value):
-                read[name] = float(read_quantity(value, quantities[name].kind if name in quantities else "angle").value)
-            continue
-        if not math.isfinite(value):
-            raise InputError("not a finite number", "Give one in SI units", problem.file, f"design.{name}", value)
+        kind = quantities[name].kind if name in quantities else "angle"
+        with input_of(problem.file, f"design.{name}", value):
+            if isinstance(value, str):
+                read[name] = float(read_quantity(value, kind).value)
+                continue
+            check_scalar(value, kind)
         check_sizes(problem, name, value, f"design.{name}")
         read[name] = value
     return None if design is None else read

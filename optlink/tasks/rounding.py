@@ -36,6 +36,7 @@ from optlink.tasks.results.rounding import Influence, Rounding
 from optlink.tasks.search import Polisher
 from optlink.validation import validate
 from optlink.validation.check import STATED, Requirement, requirements
+from optlink.validation.timing import in_first_cycle
 
 FEW = 4  # sizes up to which the whole grid is searched
 WHOLE = 400  # programmes solved at most on the whole grid
@@ -135,6 +136,7 @@ class _Search:
                 return end.x
         values, angles = solved_values(self.task, end.design, end.x)
         values = self.task.complete({**values, **dict(zip(self.grids, map(float, sizes), strict=True))})
+        angles = in_first_cycle(self.task, angles)
         checked = validate(self.task, values, angles)
         made = LinkageDesign(self.design.problem, values, angles, checked.objective, Status.ROUNDED, checked)
         self.tried[key] = made

@@ -60,7 +60,7 @@ from optlink.tasks.results.common import (
 from optlink.tasks.results.design import LinkageDesign
 from optlink.tasks.results.fit import FINE
 from optlink.validation import validate
-from optlink.validation.timing import passing
+from optlink.validation.timing import in_first_cycle, passing
 
 # Constants of the refinement of candidates.
 # What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
@@ -493,6 +493,7 @@ def validated_design(file: ProblemFile, solution: Solution) -> LinkageDesign:
     """Return a solution of the NLP as a validated design."""
     solution = centred(file.spec, solution) if solution.status is Status.OPTIMAL else solution
     values, angles = solved_values(file.spec, solution.design, solution.x)
+    angles = in_first_cycle(file.spec, angles)
     cycle = None
     if file.spec.of_cycle:
         from optlink.validation.cycle import cycle_of

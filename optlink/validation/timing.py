@@ -35,8 +35,20 @@ def passing(problem: DesignProblem, design: Mapping[str, float]) -> Array:
         return np.concatenate([passing(part, part.own(design)) for part in problem.parts])
     if problem.data.offsets is not None or not problem.pointed:
         return problem.crank_angles(design, None)
-    angles = min((_one_way(problem, design, way) for way in problem.ways), key=lambda each: each[1])[0]
-    return np.asarray(angles if problem.linkage.limits else angles - TURN * np.round(angles[0] / TURN))
+    return in_first_cycle(problem, min((_one_way(problem, design, way) for way in problem.ways), key=lambda each: each[1])[0])
+
+
+def in_first_cycle(problem: DesignProblem, angles: Array) -> Array:
+    """Return crank angles [rad] of all positions, at points without prescribed timing counted from the first cycle.
+
+    The first angle of a requirement is in it, or less than `STEP` before it.
+    """
+    cycle, counted = problem.linkage.cycle, [angles[:0]]
+    for part, own in problem.of_parts(angles):
+        assert own is not None
+        free = part.data.offsets is None and part.linkage.limits is None
+        counted.append(own - free * cycle * np.floor((own[0] + STEP) / cycle) if len(own) else own)
+    return np.concatenate(counted)
 
 
 def _squares(problem: DesignProblem, design: Mapping[str, float], angles: Array) -> Array:

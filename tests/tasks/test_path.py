@@ -21,6 +21,7 @@ from optlink.presentation.report_model import report_model_of
 from optlink.solvers.multistart import solve_from
 from optlink.tasks.design import solve
 from optlink.tasks.run import design_task
+from optlink.validation.timing import in_first_cycle
 from tests import synthesis_oracle as oracle
 from tests.random_linkages import judged
 from tests.solved import solution
@@ -191,8 +192,16 @@ def test_a_given_design_is_validated_at_independent_crank_angles(name):
     assert again.valid
     assert again.best.assembly == result.assembly
     assert math.sqrt(again.objective) == pytest.approx(math.sqrt(result.objective), rel=1e-6, abs=1e-10 * result.task.size)
-    turned = np.remainder(again.best.crank_angles - result.crank_angles + np.pi, 2.0 * np.pi) - np.pi
-    assert np.max(np.abs(turned)) < 1e-5
+    np.testing.assert_allclose(again.best.crank_angles, result.crank_angles, atol=1e-5)  # counted from the same turn
+
+
+def test_crank_angles_are_counted_from_the_first_turn():
+    untimed, timed = (optlink.load(name).spec for name in ("motion-3-poses", "path-closed18"))
+    angles = np.array([-2.77, -1.86, -0.54])
+    for turns in (-1, 0, 2):
+        np.testing.assert_allclose(in_first_cycle(untimed, angles + 2.0 * np.pi * turns), angles + 2.0 * np.pi)
+    np.testing.assert_allclose(in_first_cycle(untimed, angles - angles[0] - 1e-9)[0], -1e-9)  # the start, not the end of a turn
+    np.testing.assert_allclose(in_first_cycle(timed, np.full(18, 7.0)), 7.0)
 
 
 PAGE = (Path(__file__).parents[2] / "docs" / "problem-files.md").read_text(encoding="utf-8")

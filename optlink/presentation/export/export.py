@@ -14,9 +14,10 @@ from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import Failure, failure
-from optlink.linkage.vector2d import Array, Vector
+from optlink.linkage.vector2d import TURN, Array, Vector
 from optlink.presentation.files import check_target, write_csv
 from optlink.presentation.report_model import ReportModel
+from optlink.problem.file import check_plausible
 from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range, nearest
 from optlink.tasks.analyze import MAX_POINTS, Analysis, analyze
 
@@ -135,6 +136,18 @@ def place_of(cycle: Analysis, at: float | None, key: str = "--at") -> float:
             message, remedy = "the drive does not move there", f"Give a {driving.reach}"
         raise InputError(message, remedy, cycle.problem.file, key, shown)
     return angle
+
+
+def check_unit_of_place(cycle: Analysis, at: float | None, key: str) -> None:
+    """Refuse a crank angle [rad] that was meant in degrees.
+
+    Raises
+    ------
+    InputError
+        If it is beyond two turns, and the motion is not.
+    """
+    if at is not None and cycle.problem.model.driving.ends is None and cycle.machine.cycle <= TURN:
+        check_plausible({}, at, "rad", cycle.problem.file, key, texts=False)
 
 
 def _dxf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:

@@ -286,13 +286,17 @@ class LawRequirement(Requirement):
         return problem.law.target(offset, tabulated, values[of.start], values.get(of.base, 0.0))
 
     def size(self, problem: Designed) -> float | None:
-        """Return the travel [m] of a slider or a point, else the frame of a four-bar."""
+        """Return the travel [m] of a slider or a point, else the power of two nearest to the frame of a four-bar.
+
+        Frames of about one length so have programmes of one scaling, and share what is built.
+        """
         if self.slides(problem) and (travel := self.travel(problem)) > 0.0:
             return travel
         if problem.four_bar is None:
             return None
         dimensions = {name: quantity.value for name, quantity in problem.mechanism.quantities.items()}
-        return float(problem.four_bar.lengths(dimensions)[3]) or None
+        frame = float(problem.four_bar.lengths(dimensions)[3])
+        return 2.0 ** round(math.log2(frame)) if frame else None
 
     def unit(self, problem: Designed) -> str:
         """Return the SI unit of a deviation."""
