@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.animation import FuncAnimation
 from matplotlib.artist import Artist
@@ -73,10 +71,9 @@ def _pose(sketch: Sketch, axes: Axes, k: int) -> list[Artist]:
     for name, (places, chosen) in sketch.places_of_names.items():
         at = sketch.position(sketch.shown, name)[k] + places[chosen[k]]
         if np.all(np.isfinite(at)):
-            look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 9.0, "zorder": 9, "clip_on": True}
-            artists.append(
-                axes.text(float(at[0]), float(at[1]), sketch.captions[name], path_effects=HALO, gid=f"name {name}", **look)
-            )
+            text = axes.text(at[0], at[1], sketch.captions[name], ha="center", va="center", fontsize=9.0, zorder=9, clip_on=True)
+            text.set(path_effects=HALO, gid=f"name {name}")
+            artists.append(text)
     return artists
 
 

@@ -28,14 +28,17 @@ from optlink.presentation.shapes import (
     clipped,
     even,
     finite,
+    finite_range,
     hatching,
     hull,
     in_line,
+    left_of,
     rectangle,
     spiral,
     spread,
     stem,
     strokes,
+    ways,
     zigzag,
 )
 from optlink.problem.file import ProblemFile
@@ -119,7 +122,7 @@ class Region:
             assert limit.radius is not None
             turns = np.linspace(0.0, TURN, ROUND)
             centre = np.array([each.value for each in limit.centre])
-            return np.asarray(centre + (limit.radius.value + offset) * np.column_stack([np.cos(turns), np.sin(turns)]))
+            return np.asarray(centre + (limit.radius.value + offset) * ways(turns))
         if limit.region == "half-plane":
             assert limit.direction is not None
             c, s = math.cos(limit.direction.value), math.sin(limit.direction.value)
@@ -131,9 +134,8 @@ class Region:
         line: list[Array] = []
         for k, (corner, end) in enumerate(zip([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], (bottom, right, top, left), strict=True)):
             turns = math.pi + 0.25 * TURN * (k + np.linspace(0.0, 1.0, CORNER if offset > 0.0 else 2))
-            ways = np.column_stack([np.cos(turns), np.sin(turns)])
-            ways = ways if offset > 0.0 else np.sum(ways, axis=0, keepdims=True)
-            line += [np.array(corner) + offset * ways, *([] if math.isfinite(end) else [np.full((1, 2), np.nan)])]
+            arms = ways(turns) if offset > 0.0 else np.sum(ways(turns), axis=0, keepdims=True)
+            line += [np.array(corner) + offset * arms, *([] if math.isfinite(end) else [np.full((1, 2), np.nan)])]
         return np.concatenate([*line, line[0][:1]])
 
     def _label(self, edge: Array, size: float) -> Array:
@@ -444,8 +446,7 @@ class Scene:
 
     def _travel(self, guide: Guide) -> tuple[float, float]:
         slides = np.asarray(self.motion.slide(guide.name).value) * self.scale.factor
-        finite_slides = slides[np.isfinite(slides) & self.near]
-        return (float(finite_slides.min()), float(finite_slides.max())) if finite_slides.size else (0.0, 0.0)
+        return finite_range(slides[self.near])
 
     def _turned_at(self, ends: Ends) -> str:
         """Return the point about which a torsion spring is drawn: the joint of its bodies, else the first point of one."""
@@ -460,7 +461,7 @@ class Scene:
         if guide.on == FRAME or len(self._points_of(guide.on)) > 1:
             return False
         points, (point, direction) = self._points_of(guide.slider), self._line(guide, guide.slider)
-        off = (points - point) @ np.array([-direction[1], direction[0]])
+        off = (points - point) @ left_of(direction)
         return len(points) > 1 and bool(np.all(np.abs(off) < 0.05 * self.size))
 
     def _curves(self, body: str) -> list[Part]:
@@ -509,12 +510,11 @@ class Scene:
                 strokes = hatching(at - s * np.array([0.9, 1.0]), np.array([1.0, 0.0]), 1.8 * s, -0.35 * s, 0.25 * s)
                 lines.append((strokes, 0.8, False))
             else:
-                cross = np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]])
-                lines.append((at + 0.35 * s * cross, 1.0, False))
+                lines.append((at + 0.35 * s * CROSS, 1.0, False))
         for guide in self.mechanism.guides:
             if guide.on == FRAME:
                 point, direction = self._line(guide, FRAME)
-                left = np.array([-direction[1], direction[0]])
+                left = left_of(direction)
                 offset = float((middle - point) @ left)
                 side = -math.copysign(1.0, offset if abs(offset) > 0.5 * s else left[1] + 1e-9 * left[0])
                 low, high = (end + room * 1.5 * s for end, room in zip(self.travel[guide.name], (-1.0, 1.0), strict=True))

@@ -22,7 +22,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.format import round_below
 from optlink.presentation.scene import Outline, Region, named_points, scene
-from optlink.presentation.shapes import hull, in_line
+from optlink.presentation.shapes import finite_range, hull, in_line, pieces
 from optlink.tasks.analyze import Analysis
 
 if TYPE_CHECKING:
@@ -168,12 +168,9 @@ def _vector(vector: tuple[object, object]) -> Array:
 
 def travelled(cycle: Analysis, guide: Guide) -> tuple[float, float]:
     """Return the least and largest slide [m] of a slider along its guide."""
-    slides = cycle[f"{slider_names(cycle.machine)[guide.name]}.s_m"]
-    finite_slides = slides[np.isfinite(slides)]
-    travel = cycle.strokes.get(slider_names(cycle.machine)[guide.name])
-    if travel is not None:
-        return travel.low, travel.high
-    return (float(finite_slides.min()), float(finite_slides.max())) if finite_slides.size else (0.0, 0.0)
+    name = slider_names(cycle.machine)[guide.name]
+    travel = cycle.strokes.get(name)
+    return finite_range(cycle[f"{name}.s_m"]) if travel is None else (travel.low, travel.high)
 
 
 def _slot(motion: Motion, guide: Guide, travel: tuple[float, float]) -> tuple[Array, Array]:
@@ -257,11 +254,9 @@ def _mark_out(drawing: Drawing, regions: Sequence[Outline], radius: float) -> No
     for region in regions:
         look = {"layer": REGIONS, **({"color": 1} if region.violated else {})}
         for line, way in ((region.edge, "Continuous"), (region.clearance, "DASHED")):
-            gaps = np.flatnonzero(~np.isfinite(line[:, 0]))
-            for piece in np.split(line, gaps):
-                known = piece[np.isfinite(piece[:, 0])]
-                if len(known) > 1:
-                    space.add_lwpolyline(known.tolist(), dxfattribs={**look, "linetype": way, "ltscale": radius})
+            for piece in pieces(line):
+                if len(piece) > 1:
+                    space.add_lwpolyline(piece.tolist(), dxfattribs={**look, "linetype": way, "ltscale": radius})
         if np.all(np.isfinite(region.label)):
             text = space.add_text(region.name, height=0.6 * radius, dxfattribs=look)
             text.set_placement(tuple(region.label), align=TextEntityAlignment.MIDDLE_CENTER)

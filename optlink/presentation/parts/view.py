@@ -13,6 +13,7 @@ from optlink.presentation.export.dxf import Vertex, rounded
 from optlink.presentation.parts.model import number
 from optlink.presentation.parts.solids import polygon
 from optlink.presentation.placement import arrange, beside, short_name
+from optlink.presentation.shapes import left_of
 
 TEXT, SMALL = 3.5, 2.5  # heights of letters
 ARROW = 3.0
@@ -190,7 +191,7 @@ def segment(*points: Array) -> Line:
 
 def arrow(tip: Array, way: Array) -> Line:
     """Return a filled arrow head; `way` is the unit vector from its tip along its line."""
-    side = np.array([-way[1], way[0]]) * ARROW / 6.0
+    side = left_of(way) * ARROW / 6.0
     return replace(segment(tip, tip + ARROW * way + side, tip + ARROW * way - side), style="solid", closed=True)
 
 

@@ -39,6 +39,7 @@ from optlink.presentation.chart_spec import (
     max_abs,
 )
 from optlink.presentation.format import Scale, position, round_below, scale
+from optlink.presentation.shapes import normed, pieces
 from optlink.problem.terms import BACK
 from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.extremes import Extreme
@@ -551,7 +552,7 @@ def hodograph(
     for shown in np.arange(math.ceil(low / step - 1e-9) * step, high - (1e-6 if cycle.result.full else -1e-9), step):
         at = np.array([cycle.at(cycle.driving.at(shown), name) * unit.factor for name in (x, y)])
         if np.all(np.isfinite(at)):
-            outward = (at - middle) / max(float(np.linalg.norm(at - middle)), 1e-30)
+            outward = normed(at - middle)
             prefer = (float(outward[0]), float(outward[1]))
             text = f"{shown % 360.0:z.0f}°" if cycle.driving.ends is None else f"{shown:.6g} mm"
             marks.append(Mark(at[0], at[1], text, RESULT, size=4.0, prefer=prefer, written=True))
@@ -572,8 +573,7 @@ def _window(cycle: CycleCurves, xs: Array, ys: Array) -> list[tuple[float, float
 
 def _sense(xs: Array, ys: Array, occupied: Sequence[tuple[float, float]]) -> list[Mark]:
     """Return an arrow head on the longest piece of a curve, away from the places of other marks."""
-    pieces = [np.stack([xs, ys], axis=-1)[piece] for piece in np.split(np.arange(len(xs)), np.flatnonzero(~np.isfinite(xs + ys)))]
-    paths = [piece[np.isfinite(piece).all(axis=1)] for piece in pieces]
+    paths = [*pieces(np.stack([xs, ys], axis=-1))] or [np.zeros((1, 2))]
     lengths = [np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)) if len(path) > 1 else np.zeros(1) for path in paths]
     k = int(np.argmax([length[-1] for length in lengths]))
     if lengths[k][-1] <= 0.0:

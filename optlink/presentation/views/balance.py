@@ -32,6 +32,7 @@ from optlink.presentation.chart_spec import (
     max_abs,
 )
 from optlink.presentation.format import change, figure, fixed, joined, number, position, scale, shown, times
+from optlink.presentation.shapes import normed
 from optlink.presentation.table_spec import (
     Inline,
     Paragraph,
@@ -165,7 +166,7 @@ def hodograph(result: Balance) -> ChartSpec:
         marked = np.radians(range(0, 360, 60)) if limits is None else np.linspace(*limits, 5)
         for at in marked:
             k = int(np.argmin(np.abs(np.mod(result.angles - at + np.pi, 2.0 * np.pi) - np.pi)))
-            x, y = (drawn[k] - middle) / max(float(np.linalg.norm(drawn[k] - middle)), 1e-30)
+            x, y = normed(drawn[k] - middle)
             mark = partial(Mark, float(drawn[k, 0]), float(drawn[k, 1]), size=4.0, written=True)
             text = f"{math.degrees(at):.4g}°" if driving.ends is None else position(driving, at)
             marks.append(mark(text, colour, prefer=(float(x), float(y))))

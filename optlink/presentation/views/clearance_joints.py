@@ -39,6 +39,7 @@ from optlink.presentation.chart_spec import (
 from optlink.presentation.drawing import STACKED_RATIO, Sketch
 from optlink.presentation.format import Scale, degrees, round_below, scale
 from optlink.presentation.labels import Label, in_points, lay_out, place_labels
+from optlink.presentation.shapes import normed
 from optlink.presentation.style import figure, heading, styled
 from optlink.presentation.views.revolutions import (
     CIRCLE,
@@ -433,7 +434,7 @@ class MagnifiedMachine(Sketch):
         joints = [name for name, bodies in self.mechanism.owners.items() if gap.journal in bodies and name != gap.point]
         if joints and gap.journal != FRAME:
             direction = np.mean([self.at(name, gap.journal)[k] for name in joints], axis=0) - journal
-            direction, off = direction / max(float(np.linalg.norm(direction)), 1e-30), journal - centre
+            direction, off = normed(direction), journal - centre
             inside = radius * radius - float(off @ off) + float(off @ direction) ** 2
             end = journal + direction * max(math.sqrt(max(inside, 0.0)) - float(off @ direction), 0.0)
             line = 3.8 if gap.journal == self.mechanism.crank.body else 3.0

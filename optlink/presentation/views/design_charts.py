@@ -35,7 +35,7 @@ from optlink.presentation.chart_spec import (
 from optlink.presentation.drawing import film
 from optlink.presentation.format import scale, si
 from optlink.presentation.labels import Label
-from optlink.presentation.shapes import even, finite
+from optlink.presentation.shapes import even, finite, left_of, normed, ways
 from optlink.presentation.views.design_tables import captions, from_flat, words_of
 from optlink.presentation.views.design_view import DesignView, fitting, title_of, wrapped
 from optlink.problem.requirements.base import pose_angles
@@ -66,7 +66,7 @@ def small_frames(places: Array, angles: Array, length: float) -> Array:
 
     `places` (n, 2) are the origins, `angles` (n,) in rad; the arrow has the given length.
     """
-    x, y = np.stack([np.cos(angles), np.sin(angles)], axis=-1), np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
+    x, y = ways(angles), left_of(ways(angles).T).T
     gap = (math.nan, math.nan)
     strokes = [(0.0, 0.0), (1.0, 0.0), gap, (0.8, 0.11), (1.0, 0.0), (0.8, -0.11), gap, (0.0, 0.0), (0.0, 0.45), gap]
     return np.stack([places + length * (a * x + b * y) for a, b in strokes], axis=1).reshape(-1, 2)
@@ -209,8 +209,7 @@ class CloseUp:
             names.setdefault(first, []).append(k + 1)
         marks = []
         for k, numbers in names.items():  # prefer the outer side of the curve
-            outward = np.array([-following[k, 1], following[k, 0]])
-            outward = outward / max(float(np.linalg.norm(outward)), 1e-300)
+            outward = normed(left_of(following[k]))
             outward = -outward if float(outward @ (places[k] - middle)) < 0.0 else outward
             at, prefer = (float(places[k, 0]), float(places[k, 1])), (float(outward[0]), float(outward[1]))
             marks.append(Mark(*at, _listed(numbers), TARGET, size=size, prefer=prefer, written=True, font=8.0))

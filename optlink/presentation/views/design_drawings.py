@@ -19,7 +19,7 @@ from optlink.presentation.chart_spec import CRANK, LIMIT, TARGET, charts_per_row
 from optlink.presentation.drawing import merged_positions
 from optlink.presentation.format import degrees
 from optlink.presentation.labels import Label, place_labels
-from optlink.presentation.shapes import even
+from optlink.presentation.shapes import even, ways
 from optlink.presentation.style import figure, heading, panels, styled
 from optlink.presentation.view import SomeDrawing
 from optlink.presentation.views.design_charts import MAX_NUMBERED, CloseUp, points_on
@@ -43,7 +43,7 @@ def _turning(axes: Axes, view: DesignView, pose: Motion) -> None:
         turn = min(turn, 0.8 * abs(view.end - view.begin))
         sense = sense if sense * (view.end - pose.crank_angle[0]) >= 1.25 * turn - 1e-9 else -sense
     angles = start + sense * np.linspace(0.25 * turn, 1.25 * turn, 33)
-    arc = pivot + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    arc = pivot + radius * ways(angles)
     arrow = FancyArrowPatch(path=Outline(arc), arrowstyle="-|>", mutation_scale=11.0, linewidth=1.5, color=CRANK)
     arrow.set(zorder=3.9, gid="turning")
     axes.add_patch(arrow)

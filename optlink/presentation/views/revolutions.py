@@ -10,6 +10,7 @@ from optlink.clearance.joint import Gap
 from optlink.linkage.vector2d import TURN
 from optlink.presentation.chart_spec import MUTED, RESULT, SHADE, Array, Axis, Curve, Line, Span, crank_angle
 from optlink.presentation.format import Scale, round_below, scale
+from optlink.presentation.shapes import finite_range
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.units import count_noun
 
@@ -251,7 +252,6 @@ def clipped_limits(turns: RevolutionCurves, values: Array, low: float, high: flo
 
 def padded_limits(values: Array, least: float = 0.0) -> tuple[float, float]:
     """Return limits of all finite values with a margin; the least range is a share of the largest absolute value."""
-    finite_values = values[np.isfinite(values)]
-    low, high = (float(finite_values.min()), float(finite_values.max())) if finite_values.size else (0.0, 0.0)
+    low, high = finite_range(values)
     width = max(high - low, least * max(abs(low), abs(high))) or 1.0
     return 0.5 * (low + high) - 0.58 * width, 0.5 * (low + high) + 0.58 * width
