@@ -47,13 +47,18 @@ PAPER_WIDTH, PAPER_HEIGHT = 7.1, (1.7, 0.7)  # of a chart on paper [inch]: its w
 MAX_BARS = 40  # number of bars up to which they are drawn as bars
 
 
-def pictures(charts: Iterable[ChartSpec]) -> dict[str, Figure]:
-    """Draw charts; return the figures by file name without ending: charts of one file share a figure."""
+def by_file(charts: Iterable[ChartSpec]) -> dict[str, list[ChartSpec]]:
+    """Return the charts of each picture by its file name."""
     files: dict[str, list[ChartSpec]] = {}
     for chart in charts:
         if chart.file:
             files.setdefault(chart.file, []).append(chart)
-    return {name: draw(group) for name, group in files.items()}
+    return files
+
+
+def pictures(charts: Iterable[ChartSpec]) -> dict[str, Figure]:
+    """Draw charts; return the figures by file name without ending: charts of one file share a figure."""
+    return {name: draw(group) for name, group in by_file(charts).items()}
 
 
 @styled
@@ -63,9 +68,8 @@ def draw(charts: Sequence[ChartSpec]) -> Figure:
     width = max(sum(chart.width for chart in row) for row in rows)
     heights = [max(_height(chart) for chart in row) for row in rows]
     first = charts[0]
-    title_lines = [heading(line, 0.95 * width, TITLE) for line in (first.heading or first.title).split("\n")]
-    title_lines += [heading(first.remark, 0.95 * width, TITLE)] if first.remark and len(charts) == 1 else []
-    title = "\n".join(title_lines)
+    title = first.heading or first.title
+    title = heading(f"{title}\n{first.remark}" if first.remark and len(charts) == 1 else title, 0.95 * width, TITLE)
     fig = figure(width, sum(heights) + 0.35 + 0.17 * title.count("\n"))
     labels: list[Label] = []
     if len(charts) == 1:
@@ -78,8 +82,8 @@ def draw(charts: Sequence[ChartSpec]) -> Figure:
             subfigures = strip.subfigures(1, len([*widths, *rest]), width_ratios=[*widths, *rest], squeeze=False)[0]
             for subfigure, chart in zip(subfigures, row, strict=False):
                 labels += _chart(subfigure, chart)
-                written = [heading(text, chart.width - 0.7, 9.5) for text in (chart.title, chart.remark) if text]
-                subfigure.suptitle("\n".join(written), fontsize=9.5)
+                written = "\n".join(filter(None, (chart.title, chart.remark)))
+                subfigure.suptitle(heading(written, chart.width - 0.7, 9.5), fontsize=9.5)
     fig.suptitle(title, fontsize=TITLE, color=LIMIT if first.warning else INK)
     if labels:
         place_labels(fig, labels)

@@ -81,7 +81,7 @@ class Sketch(Scene):
         entries: dict[str, Any] = {
             body: Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.mechanism.bodies
         }
-        entries |= {"centroid": tuple(_centroid(GROUND))} if self.centroids else {}
+        entries |= {"centroid": tuple(_centroid())} if self.centroids else {}
         entries |= {name.replace("_", " "): artist for name, artist in extra.items()}
         columns = min(len(entries), columns)
         fig.legend(entries.values(), entries, loc="outside lower center", ncols=columns, frameon=False, fontsize=8.5)
@@ -133,9 +133,9 @@ def _artist(shape: Shape, xy: Array) -> Artist:
     return Line2D(*xy.T, color=shape.colour, alpha=shape.opacity, **look)
 
 
-def _centroid(colour: str) -> list[Line2D]:
+def _centroid() -> list[Line2D]:
     """Return the centroid symbol: a ring and a cross."""
-    return [Line2D([], [], linestyle="none", marker=m, markersize=5.5, mfc="white", mec=colour, mew=0.9) for m in ("o", "+")]
+    return [Line2D([], [], linestyle="none", marker=m, markersize=5.5, mfc="white", mec=GROUND, mew=0.9) for m in ("o", "+")]
 
 
 # Animation of a mechanism beside a curve with a moving marker.
@@ -173,7 +173,7 @@ def film(
     draw_into(strip, curve) if isinstance(curve, ChartSpec) else curve(strip)
     mark = Line2D([], [], linestyle="none", marker="o", markersize=7, color=CRANK, zorder=8, animated=True)
     strip.add_artist(mark)
-    fig.suptitle("\n".join(heading(title, fig.get_figwidth(), 10.0) for title in titles), fontsize=10)
+    fig.suptitle(heading("\n".join(titles), fig.get_figwidth(), 10.0), fontsize=10)
     legible(fig)
     canvas.draw()  # all that stands still is drawn once
     fig.set_layout_engine("none")

@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 
 from optlink.errors import InputError
 from optlink.linkage.arguments import check_number
-from optlink.linkage.motion import sweep
 from optlink.presentation.drawing import Sketch
 from optlink.presentation.export.export import place_of
 from optlink.presentation.format import single_units
@@ -85,13 +84,13 @@ def draw_linkage(result: Document, axes: Axes | None = None, angle: float | None
         at = float(sketch.shown.crank_angle[_most_open(sketch)])
         if angle is not None:
             at = place_of(cycle, check_number("angle", angle), "angle")
-        sketch = sketch.moved(sweep(machine.mechanism, machine.sizes, [at], cycle.speed))
+        sketch = sketch.moved(machine.motion([at], cycle.speed))
         if axes is None:
             fig = notebook_figure(WIDTH, min(WIDTH * sketch.ratio + 1.0, 8.0))
             with apply_style():
                 axes = fig.add_subplot()
                 title = f"{result.problem.model.title}\n{cycle.problem.model.driving.text(at)}"
-                axes.set_title("\n".join(heading(line, WIDTH) for line in title.split("\n")), fontsize=10)
+                axes.set_title(heading(title, WIDTH), fontsize=10)
         with apply_style():
             sketch.stage(axes)
             _pose(sketch, axes, 0)

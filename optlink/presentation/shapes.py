@@ -2,14 +2,15 @@
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.jet import as_jet
+from optlink.linkage.vector2d import TURN, Array, Vector
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,25 @@ def finite(points: Array) -> Array:
 def spread(points: Array) -> Array:
     """Return width and height of a set of points."""
     return np.ptp(points, axis=0) if len(points) else np.zeros(2)
+
+
+def plain(vector: Vector) -> Array:
+    """Return a vector of jets or numbers, at one position, as an array (2,)."""
+    return np.array([float(np.squeeze(as_jet(part).value)) for part in vector])
+
+
+def cross(first: Array, second: Array) -> Array:
+    """Return the cross products of plane vectors (..., 2)."""
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
+
+
+def distinct(points: Iterable[Array], near: float) -> Array:
+    """Return those of some points that are not within a distance of an earlier one."""
+    found: list[Array] = []
+    for point in points:
+        if all(np.linalg.norm(point - other) > near for other in found):
+            found.append(point)
+    return np.array(found).reshape(-1, 2)
 
 
 def left_of(way: Array) -> Array:

@@ -90,8 +90,7 @@ def _moved(outline: Sequence[Vertex], shift: Array) -> list[Vertex]:
 
 def _crosses(one: Placed) -> list[tuple[Array, Array]]:
     """Return the lines of the crosses at the points of a part that are no joints."""
-    arm = CROSS * one.part.openings[0].diameter
-    arms = (np.array([arm, 0.0]), np.array([0.0, arm]))
+    arms = CROSS * one.part.openings[0].diameter * np.eye(2)
     return [(at + one.shift - way, at + one.shift + way) for at in one.part.marks.values() for way in arms]
 
 

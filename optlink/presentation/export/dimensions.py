@@ -8,16 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from optlink.dynamics.machine import slider_names
-from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.chart_spec import GROUND
 from optlink.presentation.export.svg import svg
 from optlink.presentation.html.theme import readable
 from optlink.presentation.placement import CELL, HIGH, LEVEL, Places, arrange, beside, joined, sampled
 from optlink.presentation.scene import Scene, Shape, Text, scene
-from optlink.presentation.shapes import even, finite, hull, in_line, left_of, normed, pieces, ways
+from optlink.presentation.shapes import even, finite, hull, in_line, left_of, normed, pieces, plain, ways
 from optlink.tasks.analyze import Analysis
 
 POSITIONS = 24  # positions from which the clearest is drawn
@@ -80,7 +78,7 @@ def clearest(cycle: Analysis) -> float:
     machine, mechanism = cycle.machine, cycle.machine.mechanism
     all_angles = cycle.positions
     angles = all_angles[even(len(all_angles), POSITIONS)]
-    motion = sweep(mechanism, machine.sizes, angles)
+    motion = machine.motion(angles)
     places = {name: motion.position(name) for name in mechanism.owners}
     gaps = [np.full(len(angles), math.inf)]
     for body in (*mechanism.bodies, FRAME):
@@ -136,13 +134,11 @@ def _neighbours(points: Array) -> list[tuple[int, int]]:
 def _strokes(cycle: Analysis, at: float, drawn: Scene, *, named: bool = False) -> Iterator[_Length]:
     """Yield the strokes of the sliders on the frame, along their guides."""
     machine = cycle.machine
-    motion = sweep(machine.mechanism, machine.sizes, [at])
+    motion = machine.motion([at])
     for guide in machine.mechanism.guides:
         travel = cycle.strokes.get(slider_names(machine)[guide.name])
         if guide.on == FRAME and travel is not None:
-            point, direction = (
-                np.array([float(np.asarray(part)) for part in vector]) for vector in motion.pose.local_line(guide, FRAME)
-            )
+            point, direction = map(plain, motion.pose.local_line(guide, FRAME))
             ends = (1e3 * (point + travel.low * direction), 1e3 * (point + travel.high * direction))
             text = f"stroke {guide.slider} {_mm(1e3 * travel.span)}" if named else f"stroke {_mm(1e3 * travel.span)}"
             yield _Length(ends, text, _colour(drawn, guide.slider))
@@ -151,10 +147,9 @@ def _strokes(cycle: Analysis, at: float, drawn: Scene, *, named: bool = False) -
 def _guides(cycle: Analysis, at: float, drawn: Scene) -> Iterator[tuple[str, _Length]]:
     """Yield every guide in words, and its distance from the point that places it, else the first of its body."""
     mechanism = cycle.machine.mechanism
-    pose = sweep(mechanism, cycle.machine.sizes, [at]).pose
+    pose = cycle.machine.motion([at]).pose
     for guide in mechanism.guides:
-        line = (np.array([as_jet(part).value for part in vector], dtype=float).ravel() for vector in pose.line(guide, guide.on))
-        start, along = line
+        start, along = map(plain, pose.line(guide, guide.on))
         near = mechanism.crank.start if guide.on == FRAME else pose.mechanism.bodies[guide.on].start
         near = guide.through if isinstance(guide.through, str) and guide.through in drawn.points else near
         place = drawn.points[near][0]

@@ -11,7 +11,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.export.dxf import Vertex
 from optlink.presentation.parts.model import FlatPart, Pin
 from optlink.presentation.parts.outline import edges, middle
-from optlink.presentation.shapes import ways
+from optlink.presentation.shapes import cross, ways
 
 CHORDS = 360  # of a circle: its area differs by 5e-5
 TRIES = 12  # most directions in which an outline is triangulated
@@ -112,5 +112,5 @@ def _triangles_turned(loops: Sequence[Array], angle: float) -> NDArray[np.intp]:
     found = mapbox_earcut_2d(turned[0].tolist(), [loop.tolist() for loop in turned[1:]])
     triangles = np.array([[numbers[corner.x, corner.y] for corner in corners] for corners in found], dtype=np.intp)
     a, b, c_ = (flat[triangles[:, k]] for k in range(3))
-    area = np.sum((b - a)[:, 0] * (c_ - a)[:, 1] - (b - a)[:, 1] * (c_ - a)[:, 0])
+    area = np.sum(cross(b - a, c_ - a))
     return triangles[:, ::-1] if area < 0.0 else triangles

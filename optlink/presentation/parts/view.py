@@ -18,13 +18,10 @@ from optlink.presentation.shapes import left_of
 TEXT, SMALL = 3.5, 2.5  # heights of letters
 ARROW = 3.0
 GAP = 1.0  # of a text to its line, of an extension line to its hole
-FIRST, ROW = 9.0, 7.5  # distance of the first dimension line from the outline, and of two dimension lines
+FIRST = 9.0  # distance of the first dimension line from the outline
 LETTER, WIDE_LETTER = 0.9, 1.6  # widths of letters in heights
-CROSS = 2.0  # of a centre line beyond its hole
 SAME = 1e-6  # distance of coincident lines
 REACHES = np.array([0.8, 2.5, 5.0, 8.0])  # distances of a name from its circle
-LYING = 1.4  # height of a part that lies on its side, in widths
-SLOPE, FAR = math.radians(60.0), 12.0  # slope of leaders, and how far they go to the side
 Style = Literal["outline", "thin", "centre", "solid"]
 
 

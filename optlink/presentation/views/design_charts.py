@@ -211,7 +211,7 @@ class CloseUp:
         for k, numbers in names.items():  # prefer the outer side of the curve
             outward = normed(left_of(following[k]))
             outward = -outward if float(outward @ (places[k] - middle)) < 0.0 else outward
-            at, prefer = (float(places[k, 0]), float(places[k, 1])), (float(outward[0]), float(outward[1]))
+            at, prefer = (places[k, 0], places[k, 1]), (outward[0], outward[1])
             marks.append(Mark(*at, _listed(numbers), TARGET, size=size, prefer=prefer, written=True, font=8.0))
         return marks
 
@@ -248,7 +248,7 @@ def _bulk(view: DesignView) -> NDArray[np.bool_]:
     if not np.any(limited) or np.all(limited):
         return np.ones(len(limited), dtype=bool)
     near = max(np.nanmax(distances[limited]), np.max(view.tolerances[limited]))
-    return limited if float(np.nanmax(distances[~limited])) > CUT_RATIO * near else np.ones(len(limited), dtype=bool)
+    return limited if np.nanmax(distances[~limited]) > CUT_RATIO * near else np.ones(len(limited), dtype=bool)
 
 
 def _distances(view: DesignView) -> Panel:
@@ -314,11 +314,11 @@ def law(view: DesignView) -> list[ChartSpec]:
     ]
     below: list[Trace] = []
     worst = int(np.nanargmax(np.abs(error)))
-    top, words = float(error[worst]), f"largest {error[worst]:+.4g}{'°' if unit.unit == 'deg' else ' ' + unit.unit}"
+    top, words = error[worst], f"largest {error[worst]:+.4g}{'°' if unit.unit == 'deg' else ' ' + unit.unit}"
     if task.robust is not None:  # there the error is prescribed minus generated
         high, low = (-unit.factor * end for end in ErrorResiduals(task).band(design.own, offsets))
         below.append(Band(crank, low, high, f"built, {task.robust.band}", LIMIT))
-        top, words = float((high if error[worst] > 0.0 else low)[worst]), f"{words} nominal"
+        top, words = (high if error[worst] > 0.0 else low)[worst], f"{words} nominal"
     below.append(Curve(crank, error, "" if task.robust is None else "nominal", LIMIT, 1.5, gid="error"))
     if len(at) <= MAX_MARKED:
         name = "design positions"
@@ -366,7 +366,7 @@ def transmission(view: DesignView) -> list[ChartSpec]:
     begin, end = view.crank(np.sort([view.begin, view.end]))
     spans: list[Span] = []
     for turn in (-360.0, 0.0, 360.0) if view.partial else ():
-        low, high = max(begin + turn, float(crank[0])), min(end + turn, float(crank[-1]))
+        low, high = max(begin + turn, crank[0]), min(end + turn, crank[-1])
         if low < high - 1e-9:
             spans.append(Span(low, high, "" if spans else "range of the requirement", RESULT, 0.08))
     traces, lines, marks = [], [], []
@@ -404,7 +404,7 @@ def output(view: DesignView) -> list[ChartSpec]:
 
 
 def _crank(view: DesignView, crank: Array) -> Axis:
-    return crank_angle(clockwise=view.direction < 0.0, limits=(float(np.min(crank)), float(np.max(crank))))
+    return crank_angle(clockwise=view.direction < 0.0, limits=(np.min(crank), np.max(crank)))
 
 
 def output_film(view: DesignView, steps: Array, titles: Sequence[str]) -> list[Image.Image]:

@@ -105,10 +105,8 @@ def _view(result: SynthesisResult, pointed: bool) -> DesignView | None:
 
 @partial(SomeDrawing, partial(_view, pointed=True))
 @styled
-def beside_curve(result: SynthesisResult) -> Figure:
+def beside_curve(view: DesignView) -> Figure:
     """Draw the mechanism at its first target beside a close-up of its curve."""
-    view = _view(result, True)
-    assert view is not None
     close = CloseUp(view)
     widths = [min(max(MAX_HEIGHT / ratio + LABEL_WIDTH, 3.6), 6.2) for ratio in (view.sketch.ratio, close.ratio)]
     ratios = zip(widths, (view.sketch.ratio, close.ratio), strict=True)
@@ -149,7 +147,7 @@ def positions(view: DesignView) -> dict[str, float]:
             named += zip(("smallest transmission angle", "largest transmission angle"), at.tolist(), strict=True)
         else:
             worst = int(np.argmax(np.abs(angles - 0.5 * math.pi)))
-            named.append((f"worst transmission angle at {group.joint}", float(at[worst])))
+            named.append((f"worst transmission angle at {group.joint}", at[worst]))
     return merged_positions(named)
 
 
@@ -168,11 +166,9 @@ def _dead_centre(view: DesignView, at: float) -> str:
 
 @partial(SomeDrawing, partial(_view, pointed=False))
 @styled
-def at_positions(result: SynthesisResult) -> Figure:
+def at_positions(view: DesignView) -> Figure:
     """Draw the mechanism at its characteristic positions side by side, on one scale."""
-    view = _view(result, False)
-    assert view is not None
-    named = positions(view) or {"the reachable range begins": float(view.motion.crank_angle[0])}
+    named = positions(view) or {"the reachable range begins": view.motion.crank_angle[0]}
     columns = 3 if len(named) > 4 else min(len(named), 2)
     rows, width = -(-len(named) // columns), 3.9 * columns
     title = mechanism_title(view, max(width, 5.0) - 0.4)
@@ -197,7 +193,7 @@ MAX_DESIGNS = 9  # largest number of designs
 SCALE_RATIO = 4.0  # designs up to this multiple of the smallest size share one scale
 
 
-@partial(SomeDrawing, lambda result: len(result.designs) > 1)
+@partial(SomeDrawing, lambda result: len(result.designs) > 1 and result)
 @styled
 def designs(result: SynthesisResult) -> Figure:
     """Draw the distinct designs side by side on one scale and name their cognates."""
