@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 
-from optlink.cli import DEBUG, FAULT
+from optlink.cli import FAULT, traced
 
 COLLECTION = 150_000
 """New objects at which garbage is collected: a short command creates fewer, a long one is no slower and no larger."""
@@ -48,12 +48,7 @@ def _told(error: Exception) -> int:
     """Print a fault of optlink or of its installation in one sentence, with modules of Python alone; return the exit code."""
     from contextlib import suppress
 
-    report = f"{DEBUG}=1 prints the traceback"
-    if os.environ.get(DEBUG):
-        import traceback
-
-        traceback.print_exception(error)
-        report = "the traceback is above"
+    report = traced(error)
     what = " ".join(f"{type(error).__name__}: {error}".split())
     cause = "a fault of optlink"
     if isinstance(error, ImportError):

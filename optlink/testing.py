@@ -70,13 +70,12 @@ def check_motion(problem: AnyProblem, design: Mapping[str, float | str] | None =
     ------
     Disagreement
     """
-    from optlink.linkage.motion import sweep
     from optlink.tasks.machine import check_design, machine_of
 
     problem = problem_of(problem)
     machine = machine_of(problem, check_design(problem, design))
     angles = np.linspace(0.0, TURN, 48, endpoint=False)
-    before, moved, after = (sweep(machine.mechanism, machine.sizes, angles + step) for step in (-STEP, 0.0, STEP))
+    before, moved, after = (machine.motion(angles + step) for step in (-STEP, 0.0, STEP))
     worst = 0.0
     for point in moved.pose.points:
         rate = (after.position(point) - before.position(point)) / (2.0 * STEP)

@@ -111,14 +111,13 @@ def _failure(error: Any) -> BaseException:
         return typer.Exit(error.exit_code)  # the help was shown, since there were no arguments
     command = context.command_path if context else "optlink"
     remedy = f"`{command} --help` lists its options"
+    message, _, better = error.message.rstrip(".").partition(". ")
     if param is not None:
         argument = param.param_type_name == "argument"
         key = (param.metavar or param.name.upper()) if argument else max(param.opts, key=len)
-        message, _, better = error.message.rstrip(".").partition(". ")
         if not message and not argument:
             message, better = "this option is required", f"Add {key} {param.metavar}"
         return InputError(message or "the argument is missing", better or remedy, command, key)
-    message, _, better = error.message.rstrip(".").partition(". ")
     option = getattr(error, "option_name", None)
     message = message[:1].lower() + message[1:].removesuffix(f": {option}").replace(f" '{option}'", "")
     return InputError(message, _meant(error, message) or better or remedy, command, option)

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from optlink.cli import DEBUG, FAULT
+from optlink.cli import FAULT, traced
 from optlink.errors import OPTIONS_NAMED, Fault, InputError, OptlinkError, shown, visible
 from optlink.execution import interrupts
-from optlink.io import check_link, check_sum, locked, read_object, write_json, written_files
+from optlink.io import check_link, check_sum, folder, locked, read_object, write_json, written_files
 
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn, TaskID
@@ -95,12 +95,7 @@ def is_lost_output(error: BaseException) -> bool:
 
 def _as_fault(error: BaseException) -> str:
     """Return the message of an unexpected exception; its traceback is printed on request."""
-    report = f"{DEBUG}=1 prints the traceback"
-    if os.environ.get(DEBUG):
-        import traceback
-
-        traceback.print_exception(error)
-        report = "the traceback is above"
+    report = traced(error)
     what = ": ".join(text for text in (type(error).__name__, shown(error)) if text)
     return f"unexpected {what}. This is a fault of optlink, please report it with the command and its files; {report}"
 
@@ -161,7 +156,6 @@ def deliver(
             interrupts.handled()
             lacking = "contains result.json, but not all pictures"
     if out is not None and lacking:
-        from optlink.io import write_json
         from optlink.presentation.files import CHECKPOINT
 
         write_json(out / "result.json", result.to_dict())
@@ -378,8 +372,6 @@ def places(out: Path | None, command: str, problem: str, csv: Path | None = None
 
 def study_place(out: Path, command: str, problem: str) -> None:
     """Lock an existing folder for a study until the command ends; it may hold the study to be resumed."""
-    from optlink.io import locked
-
     _kept[-1].enter_context(locked(out))
     check_owner(out, command, problem)
 
@@ -405,8 +397,6 @@ FILES = (".html", ".htm", ".pdf", ".png", ".svg", ".gif", ".json", ".toml", ".cs
 @contextlib.contextmanager
 def _result_folder(out: Path, command: str, problem: str) -> Iterator[None]:
     """Create and lock the result folder; remove it again if it is new and the input is invalid."""
-    from optlink.io import folder
-
     new = [place for place in (out, *out.parents) if not os.path.exists(place)]
     if new and out.suffix.lower() in FILES:
         remedy = "Give the name of a folder, for example out; `optlink report` writes a page, `optlink export` a drawing or table"

@@ -121,12 +121,10 @@ def solve(
     rounds = steps or file.raw.get("rounding")
     what = "searching and rounding" if rounds else "searching"
     with console.share(what, said=bool(rounds)) as progress, console.share("proving") as proving:
-        certificate_options: dict[str, Any] = {"certify": certify, "gap": GLOBAL_GAP if gap is None else gap}
-        certificate_options |= {"time_limit": math.inf if seconds is None else seconds}
-        certificate_options |= console.given(engine=engine, workers=workers, scheduler=scheduler)
-        certificate_options |= console.given(rounding=_steps(rounding))
-        certificate_options["proving"] = proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}"))
-        result = search(file, backend, starts, seed, progress, designs=designs, track=out is not None, **certificate_options)
+        options = console.given(engine=engine, workers=workers, scheduler=scheduler, rounding=_steps(rounding))
+        options |= {"gap": GLOBAL_GAP if gap is None else gap, "time_limit": math.inf if seconds is None else seconds}
+        options["proving"] = proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}"))
+        result = search(file, backend, starts, seed, progress, designs=designs, track=out is not None, certify=certify, **options)
     if result.interrupted:
         print(f"Interrupted: {_interrupted(result)}.", file=sys.stderr)
     console.deliver(result, as_json, out, details=details)

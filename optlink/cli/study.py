@@ -188,11 +188,11 @@ def sweep(
     if not analyze and not simulate:
         remedy = "Add --analyze; the number of swept values is part of --vary KEY=LOW..HIGH UNIT:N"
         console.refuse({"--points": points}, "the option applies to an analysis or a simulation", remedy, file.file)
-    mode: dict[str, Any] = {"analyze": analyze, "columns": column or None, "design": values}
-    mode["simulate"] = console.given(revolutions=revolutions, control=control, points=points) if simulate else None
-    parallel: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
-    with _resuming(out, "sweep", problem, "sweeping", resume=resume, **parallel) as options:
-        result = run(file, vary or [], out, points=360 if points is None else points, **mode, **options)
+    runs = console.given(revolutions=revolutions, control=control, points=points) if simulate else None
+    mode: dict[str, Any] = {"analyze": analyze, "columns": column or None, "design": values, "simulate": runs}
+    parallel = console.given(backend=backend, engine=engine, workers=workers, scheduler=scheduler)
+    with _resuming(out, "sweep", problem, "sweeping", resume) as options:
+        result = run(file, vary or [], out, points=360 if points is None else points, **mode, **parallel, **options)
     console.deliver(result, as_json, out)
 
 
@@ -264,24 +264,22 @@ def pareto(
     from optlink.studies.fronts.epsilon_constraint import pareto as run
 
     file = console.load(problem, changes)
-    parallel: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
-    with _resuming(out, "pareto", problem, "computing the front", resume=resume, **parallel) as options:
-        result = run(file, objectives, out, points=points, **options)
+    parallel = console.given(backend=backend, engine=engine, workers=workers, scheduler=scheduler)
+    with _resuming(out, "pareto", problem, "computing the front", resume) as options:
+        result = run(file, objectives, out, points=points, **parallel, **options)
     console.deliver(result, as_json, out)
 
 
 @contextlib.contextmanager
-def _resuming(
-    out: Path | None, command: str, problem: str, what: str, *, resume: bool, **options: Any
-) -> Iterator[dict[str, Any]]:
-    """Lock the folder of a study, provide its options with its progress, and report on interruption what is kept of it."""
+def _resuming(out: Path | None, command: str, problem: str, what: str, resume: bool) -> Iterator[dict[str, Any]]:
+    """Lock the folder of a study, provide its progress and whether it resumes, and report on interruption what is kept of it."""
     if resume and out is None:
         raise InputError("needs the folder of the run", "Add --out DIR", key="--resume")
     if out is not None and os.path.isdir(out):
         console.study_place(out, command, problem)
     try:
         with _points(what) as progress:
-            yield console.given(**options) | {"resume": resume, "progress": progress}
+            yield {"resume": resume, "progress": progress}
     except KeyboardInterrupt:
         interrupts.handled()
         message = "no results were kept: --out is not given" if out is None else "completed points are kept; "

@@ -236,6 +236,10 @@ class Machine:
     def __repr__(self) -> str:
         return f"<Machine {self.mechanism.name!r}: {', '.join(self.mechanism.bodies)}>"
 
+    def motion(self, crank_angle: ArrayLike, speed: Value = 1.0, acceleration: Value = 0.0) -> Motion:
+        """Return the motion of its mechanism at crank angles (angles,) [rad]."""
+        return sweep(self.mechanism, self.sizes, crank_angle, speed, acceleration)
+
     def moving(
         self, crank_angle: ArrayLike, speed: Value = 1.0, acceleration: Value = 0.0, side: int = 1, direction: Value = None
     ) -> Moving:
@@ -244,7 +248,7 @@ class Machine:
         `side`: where a load jumps, at the reversal of the motion that it opposes, +1 takes the value just after, -1 that just
         before. `direction` is the sense of crank rotation, by default that of the speed, positive where the crank is at rest.
         """
-        return Moving(self, sweep(self.mechanism, self.sizes, crank_angle, speed, acceleration), side, direction)
+        return Moving(self, self.motion(crank_angle, speed, acceleration), side, direction)
 
     def with_(self, **changes: object) -> Machine:
         """Return the machine with some fields replaced."""

@@ -47,13 +47,18 @@ PAPER_WIDTH, PAPER_HEIGHT = 7.1, (1.7, 0.7)  # of a chart on paper [inch]: its w
 MAX_BARS = 40  # number of bars up to which they are drawn as bars
 
 
-def pictures(charts: Iterable[ChartSpec]) -> dict[str, Figure]:
-    """Draw charts; return the figures by file name without ending: charts of one file share a figure."""
+def by_file(charts: Iterable[ChartSpec]) -> dict[str, list[ChartSpec]]:
+    """Return the charts of each picture by its file name."""
     files: dict[str, list[ChartSpec]] = {}
     for chart in charts:
         if chart.file:
             files.setdefault(chart.file, []).append(chart)
-    return {name: draw(group) for name, group in files.items()}
+    return files
+
+
+def pictures(charts: Iterable[ChartSpec]) -> dict[str, Figure]:
+    """Draw charts; return the figures by file name without ending: charts of one file share a figure."""
+    return {name: draw(group) for name, group in by_file(charts).items()}
 
 
 @styled
@@ -63,9 +68,8 @@ def draw(charts: Sequence[ChartSpec]) -> Figure:
     width = max(sum(chart.width for chart in row) for row in rows)
     heights = [max(_height(chart) for chart in row) for row in rows]
     first = charts[0]
-    title_lines = [heading(line, 0.95 * width, TITLE) for line in (first.heading or first.title).split("\n")]
-    title_lines += [heading(first.remark, 0.95 * width, TITLE)] if first.remark and len(charts) == 1 else []
-    title = "\n".join(title_lines)
+    title = first.heading or first.title
+    title = heading(f"{title}\n{first.remark}" if first.remark and len(charts) == 1 else title, 0.95 * width, TITLE)
     fig = figure(width, sum(heights) + 0.35 + 0.17 * title.count("\n"))
     labels: list[Label] = []
     if len(charts) == 1:
@@ -78,8 +82,8 @@ def draw(charts: Sequence[ChartSpec]) -> Figure:
             subfigures = strip.subfigures(1, len([*widths, *rest]), width_ratios=[*widths, *rest], squeeze=False)[0]
             for subfigure, chart in zip(subfigures, row, strict=False):
                 labels += _chart(subfigure, chart)
-                written = [heading(text, chart.width - 0.7, 9.5) for text in (chart.title, chart.remark) if text]
-                subfigure.suptitle("\n".join(written), fontsize=9.5)
+                written = "\n".join(filter(None, (chart.title, chart.remark)))
+                subfigure.suptitle(heading(written, chart.width - 0.7, 9.5), fontsize=9.5)
     fig.suptitle(title, fontsize=TITLE, color=LIMIT if first.warning else INK)
     if labels:
         place_labels(fig, labels)
@@ -155,8 +159,8 @@ def _panel(axes: Axes, chart: ChartSpec, panel: Panel, *, legend: bool = True) -
     for line in chart.lines:
         axes.axvline(line.at, zorder=1.5, **_line_style(line) | ({} if top else {"label": None}))
     for span in chart.spans:
-        style: dict[str, Any] = {"color": span.colour, "alpha": span.opacity, "linewidth": 0.0, "zorder": 0.5}
-        axes.axvspan(span.low, span.high, label=span.name if top and span.name else None, gid=span.gid or None, **style)
+        named = _named(span, span.name if top else "")
+        axes.axvspan(span.low, span.high, color=span.colour, alpha=span.opacity, linewidth=0.0, zorder=0.5, **named)
     flat = any(isinstance(trace, HeatMap) for trace in panel.traces)
     if not flat and not chart.equal:
         axes.margins(y=0.16 if panel.marks else 0.06)
@@ -179,9 +183,13 @@ def _panel(axes: Axes, chart: ChartSpec, panel: Panel, *, legend: bool = True) -
     return [Label(axes, (m.x, m.y), m.text, m.colour, m.font, 0.6 * m.size, m.prefer) for m in panel.marks if m.text]
 
 
+def _named(part: Any, name: str) -> dict[str, Any]:
+    """Return the entry of a part of a chart in the legend, if it has a name, and its mark for programs."""
+    return {"label": name or None, "gid": part.gid or None}
+
+
 def _line_style(line: Line) -> dict[str, Any]:
-    style = {"color": line.colour, "linewidth": line.width, "linestyle": DASHES[line.dash]}
-    return {**style, "label": line.name or None, "gid": line.gid or None}
+    return {"color": line.colour, "linewidth": line.width, "linestyle": DASHES[line.dash], **_named(line, line.name)}
 
 
 def _trace(axes: Axes, trace: Trace, chart: ChartSpec, panel: Panel) -> None:
@@ -189,19 +197,13 @@ def _trace(axes: Axes, trace: Trace, chart: ChartSpec, panel: Panel) -> None:
     if isinstance(trace, Curve):
         _curve(axes, trace)
     elif isinstance(trace, Band):
-        named = {"label": trace.name or None, "gid": trace.gid or None}
-        axes.fill_between(trace.x, trace.low, trace.high, color=trace.colour, alpha=trace.opacity, linewidth=0.0, **named)  # type: ignore[arg-type]
+        look = {"color": trace.colour, "alpha": trace.opacity, "linewidth": 0.0, **_named(trace, trace.name)}
+        axes.fill_between(trace.x, trace.low, trace.high, **look)
     elif isinstance(trace, Boxes):
         fill, edge = to_rgba(trace.colour, trace.opacity), to_rgba(trace.colour, min(1.0, 2.0 * trace.opacity))
-        look: dict[str, Any] = {
-            "facecolors": fill,
-            "edgecolors": edge,
-            "linewidths": 0.5,
-            "label": trace.name or None,
-            "gid": trace.gid or None,
-        }
         axes.grid(visible=False)
-        axes.add_collection(PolyCollection(list(trace.corners), zorder=1.5, **look))
+        look = {"facecolors": fill, "edgecolors": edge, "linewidths": 0.5, "zorder": 1.5, **_named(trace, trace.name)}
+        axes.add_collection(PolyCollection(list(trace.corners), **look))
     elif isinstance(trace, HeatMap):
         low, high = trace.limits or (None, None)
         edges = [cells(at, log=axis.scale == "log") for at, axis in ((trace.x, chart.x), (trace.y, panel.y))]
@@ -215,44 +217,43 @@ def _trace(axes: Axes, trace: Trace, chart: ChartSpec, panel: Panel) -> None:
 
 
 def _curve(axes: Axes, trace: Curve) -> None:
-    style: dict[str, Any] = {"color": trace.colour, "alpha": None if trace.opacity == 1.0 else trace.opacity, "zorder": 3}
-    style["label"] = trace.name if trace.legend and trace.name else None
+    style = _named(trace, trace.name if trace.legend else "") | {"color": trace.colour}
     if trace.shade is not None:
         shaded = axes.scatter(trace.x, trace.y, c=trace.shade, cmap="viridis", s=trace.size**2, zorder=3, gid=trace.gid or None)
         axes.figure.colorbar(shaded, ax=axes, label=trace.shade_name, pad=0.02)
-        style |= {"color": "none", "label": None}  # unseen, so that labels keep clear of the points
-    line = DASHES[trace.dash] if "lines" in trace.mode else "none"
-    marker = SYMBOLS[trace.symbol][0] if "markers" in trace.mode else ""
-    edge = 0.0 if trace.symbol == "circle" else 1.2
-    open_: dict[str, Any] = {"markerfacecolor": "none"} if trace.symbol == "open circle" else {}
+        style = {"color": "none"}  # unseen, so that labels keep clear of the points
+    style |= {"markerfacecolor": "none"} if trace.symbol == "open circle" else {}
     axes.plot(
         trace.x,
         trace.y,
-        linestyle=line,
+        alpha=None if trace.opacity == 1.0 else trace.opacity,
+        linestyle=DASHES[trace.dash] if "lines" in trace.mode else "none",
         linewidth=trace.width,
-        marker=marker,
+        marker=SYMBOLS[trace.symbol][0] if "markers" in trace.mode else "",
         markersize=trace.size,
-        markeredgewidth=edge,
-        gid=None if trace.shade is not None else trace.gid or None,
+        markeredgewidth=0.0 if trace.symbol == "circle" else 1.2,
+        zorder=3,
         **style,
-        **open_,
     )
 
 
 def _bars(axes: Axes, trace: Bars) -> None:
     """Draw bars, or a stepped line if there are many."""
     colour = trace.colours if isinstance(trace.colours, str) else list(trace.colours)
-    style: dict[str, Any] = {"alpha": trace.opacity, "label": trace.name if trace.legend and trace.name else None, "zorder": 2}
+    style: dict[str, Any] = {
+        "color": colour,
+        "alpha": trace.opacity,
+        "zorder": 2,
+        **_named(trace, trace.name if trace.legend else ""),
+    }
     if len(trace.x) > MAX_BARS and isinstance(colour, str) and not trace.horizontal and np.ndim(trace.width) == 0:
-        axes.plot(trace.x, trace.y, drawstyle="steps-mid", color=colour, linewidth=1.2, gid=trace.gid or None, **style)
+        axes.plot(trace.x, trace.y, drawstyle="steps-mid", linewidth=1.2, **style)
         return
     if trace.horizontal:
-        bars = axes.barh(trace.x, trace.y, height=trace.width, color=colour, **style)
+        axes.barh(trace.x, trace.y, height=trace.width, **style)
         axes.grid(visible=False, axis="y")
     else:
-        bars = axes.bar(trace.x, trace.y, width=trace.width, color=colour, **style)
-    for bar in bars:
-        bar.set_gid(trace.gid or None)
+        axes.bar(trace.x, trace.y, width=trace.width, **style)
 
 
 def _label_cut_bars(axes: Axes, trace: Bars) -> None:
@@ -310,13 +311,10 @@ def _legend(axes: Axes, width: float) -> None:
         return
     letters, room = [max(len(line) for line in name.splitlines()) + 6 for name in entries], (width - 0.8) / 0.067
     rows = 1 if sum(letters) <= room else -(-len(entries) // max(1, int(room / max(letters))))
-    style: dict[str, Any] = {"frameon": False, "fontsize": FONT, "borderaxespad": 0.1}
-    handles: list[Any] = [_proxy(handle) for handle in entries.values()]
+    place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
     if rows <= 3 and not any("\n" in name for name in entries):
-        even = -(-len(entries) // rows)
-        axes.legend(handles, list(entries), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=even, **style)
-    else:
-        axes.legend(handles, list(entries), loc="center left", bbox_to_anchor=(1.0, 0.5), **style)
+        place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": -(-len(entries) // rows)}
+    axes.legend(map(_proxy, entries.values()), entries, frameon=False, fontsize=FONT, borderaxespad=0.1, **place)
 
 
 def _proxy(handle: Any) -> Any:

@@ -42,9 +42,10 @@ class Sketch(Scene):
             axes.add_artist(_artist(shape, shape.line))
         for region in self.outlines:
             if np.all(np.isfinite(region.label)):
-                look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 8.5, "zorder": LAYERS["regions"]}
-                text = axes.text(float(region.label[0]), float(region.label[1]), region.name, color=region.colour, **look)
-                text.set(path_effects=HALO, clip_on=True)
+                text = axes.text(
+                    region.label[0], region.label[1], region.name, ha="center", va="center", color=region.colour, fontsize=8.5
+                )
+                text.set(zorder=LAYERS["regions"], path_effects=HALO, clip_on=True)
         axes.set(xlim=self.limits[0], ylim=self.limits[1], xlabel=f"x [{self.scale.unit}]", ylabel=f"y [{self.scale.unit}]")
         axes.set_aspect("equal")
 
@@ -80,10 +81,10 @@ class Sketch(Scene):
         entries: dict[str, Any] = {
             body: Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.mechanism.bodies
         }
-        entries |= {"centroid": tuple(_centroid(GROUND))} if self.centroids else {}
+        entries |= {"centroid": tuple(_centroid())} if self.centroids else {}
         entries |= {name.replace("_", " "): artist for name, artist in extra.items()}
-        style: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "fontsize": 8.5}
-        fig.legend([*entries.values()], [*entries], ncols=min(len(entries), columns), **style)
+        columns = min(len(entries), columns)
+        fig.legend(entries.values(), entries, loc="outside lower center", ncols=columns, frameon=False, fontsize=8.5)
 
     def arrows(self, motion: Motion, names: Sequence[str], longest: float) -> dict[str, tuple[Array, Array]]:
         """Return velocity arrows (begin, end) of points by name at the first position; slow points are left out.
@@ -121,20 +122,20 @@ def _artist(shape: Shape, xy: Array) -> Artist:
     look: dict[str, Any] = {"zorder": LAYERS[shape.layer], "linewidth": shape.width}
     look["gid"] = {"traces": f"trace {shape.name}", "centroid": f"centroid {shape.name}"}.get(shape.layer, shape.name or None)
     if shape.radius:
-        dot: dict[str, Any] = {"marker": "o", "markersize": 2.0 * shape.radius, "mfc": shape.fill, "mec": shape.colour}
-        return Line2D(xy[:, 0], xy[:, 1], linestyle="none", mew=shape.width, **dot, **look)
+        look |= {"linestyle": "none", "marker": "o", "markersize": 2.0 * shape.radius}
+        return Line2D(*xy.T, mfc=shape.fill, mec=shape.colour, mew=shape.width, **look)
     if shape.fill:
         joint = "miter" if shape.layer == "slot" else "round"
         rgb, face = np.array(to_rgb(shape.fill)), shape.face
         tint = (*(1.0 - face * (1.0 - rgb)), 1.0) if shape.layer == "block" else (*rgb, face)  # a block hides its slot
         return Polygon(xy, closed=True, facecolor=tint, edgecolor=shape.colour, joinstyle=joint, **look)
-    style: dict[str, Any] = {"linestyle": (0, shape.dashes) if shape.dashed else "-", "solid_capstyle": "round"}
-    return Line2D(xy[:, 0], xy[:, 1], color=shape.colour, alpha=shape.opacity, **style, **look)
+    look |= {"linestyle": (0, shape.dashes) if shape.dashed else "-", "solid_capstyle": "round"}
+    return Line2D(*xy.T, color=shape.colour, alpha=shape.opacity, **look)
 
 
-def _centroid(colour: str) -> list[Line2D]:
+def _centroid() -> list[Line2D]:
     """Return the centroid symbol: a ring and a cross."""
-    return [Line2D([], [], linestyle="none", marker=m, markersize=5.5, mfc="white", mec=colour, mew=0.9) for m in ("o", "+")]
+    return [Line2D([], [], linestyle="none", marker=m, markersize=5.5, mfc="white", mec=GROUND, mew=0.9) for m in ("o", "+")]
 
 
 # Animation of a mechanism beside a curve with a moving marker.
@@ -172,7 +173,7 @@ def film(
     draw_into(strip, curve) if isinstance(curve, ChartSpec) else curve(strip)
     mark = Line2D([], [], linestyle="none", marker="o", markersize=7, color=CRANK, zorder=8, animated=True)
     strip.add_artist(mark)
-    fig.suptitle("\n".join(heading(title, fig.get_figwidth(), 10.0) for title in titles), fontsize=10)
+    fig.suptitle(heading("\n".join(titles), fig.get_figwidth(), 10.0), fontsize=10)
     legible(fig)
     canvas.draw()  # all that stands still is drawn once
     fig.set_layout_engine("none")

@@ -102,19 +102,12 @@ def write_csv(path: Path, columns: Mapping[str, Iterable[float | str]]) -> None:
     columns : mapping of str to iterable of float or str
         All of the same length.
     """
-    with whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        _write_rows(writer, columns)
-
-
-def _write_rows(writer: Any, columns: Mapping[str, Iterable[float | str]]) -> None:
-    for row in zip(*columns.values(), strict=True):
-        writer.writerow([one if isinstance(one, str) else repr(float(one)) if math.isfinite(one) else "" for one in row])
+    with stream(path) as append:
+        append(columns)
 
 
 @contextlib.contextmanager
-def stream(path: Path, keep: int = 0) -> Iterator[Callable[[Mapping[str, Iterable[float]]], None]]:
+def stream(path: Path, keep: int = 0) -> Iterator[Callable[[Mapping[str, Iterable[float | str]]], None]]:
     """Open a CSV file that is written in portions and replaces the target once it is complete.
 
     It starts with rows of the existing file. The function appends rows; its first call also writes the header.
@@ -127,12 +120,13 @@ def stream(path: Path, keep: int = 0) -> Iterator[Callable[[Mapping[str, Iterabl
     with whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer, begun = csv.writer(file, lineterminator="\n"), bool(keep) and _copied(path, file, keep)
 
-        def append(columns: Mapping[str, Iterable[float]]) -> None:
+        def append(columns: Mapping[str, Iterable[float | str]]) -> None:
             nonlocal begun
             if not begun:
                 writer.writerow(columns)
             begun = True
-            _write_rows(writer, columns)
+            for row in zip(*columns.values(), strict=True):
+                writer.writerow([one if isinstance(one, str) else repr(float(one)) if math.isfinite(one) else "" for one in row])
 
         yield append
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
 
 from optlink.errors import InputError, UnknownName, extra_remedy, nearest
 from optlink.io import folder as made, whole
 from optlink.presentation.columns import file_units, in_units
+from optlink.presentation.files import check_target
 from optlink.presentation.registry import stored_page, table_of as table_of_kind, view_of
 from optlink.presentation.view import registered_charts
 from optlink.problem.arguments import typed
@@ -77,7 +78,6 @@ def report(source: Subject, file: str | Path, facts: Mapping[str, str] | None = 
     ...     page.stat().st_size > 100_000
     True
     """
-    from optlink.presentation.files import check_target
     from optlink.presentation.html.page import write_page
 
     path = check_target(Path(file), (".html", ".htm"), "report.html", "file")
@@ -137,7 +137,6 @@ def export(
     'shaper.dxf'
     """
     from optlink.presentation.export.export import FORMATS, Options, check_unit_of_place, export as write
-    from optlink.presentation.files import check_target
 
     path = check_target(Path(file), tuple(FORMATS), "drawing.dxf", "file")
     options = Options(at, hole, width, points, content)
@@ -168,23 +167,17 @@ def single_design(about: ReportModel | StoredStudy, name: str = "") -> ReportMod
 
 def figures(result: Document) -> dict[str, Callable[[], Figure | None]]:
     """Return what draws each picture of a result, by file name."""
-    from optlink.presentation.chart_mpl import draw
+    from optlink.presentation.chart_mpl import by_file, draw
 
     view = view_of(result.kind)
     model = view.model(result)
-    named = [chart for chart in (*view.charts(model), *registered_charts(result)) if chart.file]
-    groups = itertools.groupby(
-        sorted(named, key=lambda chart: [one.file for one in named].index(chart.file)), lambda chart: chart.file
-    )
-    charts = {name: list(group) for name, group in groups}
-    return {
-        **{name: (lambda group=group: draw(group)) for name, group in charts.items()},  # type: ignore[misc]
-        **{
-            name: (lambda drawing=drawing: drawing(model))  # type: ignore[misc]
-            for name, drawing in view.drawings.items()
-            if getattr(drawing, "has", lambda _: True)(model)
-        },
+    drawn: dict[str, Callable[[], Figure | None]] = {
+        name: partial(draw, group) for name, group in by_file((*view.charts(model), *registered_charts(result))).items()
     }
+    for name, drawing in view.drawings.items():
+        if getattr(drawing, "of", lambda _: True)(model):
+            drawn[name] = partial(drawing, model)
+    return drawn
 
 
 def picture(result: Document, name: str) -> Figure:

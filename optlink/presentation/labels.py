@@ -35,9 +35,7 @@ class Label:
 
 def in_points(axes: Axes, length: float) -> float:
     """Return a length along x in the unit of the axes in points; the figure must have its final layout."""
-    fig = axes.get_figure()
-    assert fig is not None
-    return float(length * axes.get_window_extent().width / np.ptp(axes.get_xlim()) * 72.0 / fig.dpi)
+    return float(length * axes.get_window_extent().width / np.ptp(axes.get_xlim()) * 72.0 / axes.figure.dpi)
 
 
 def lay_out(figure: Figure) -> None:
@@ -73,9 +71,7 @@ def _in_sight(label: Label) -> bool:
 
 
 def _place(axes: Axes, labels: list[Label]) -> None:
-    figure = axes.get_figure()
-    assert figure is not None
-    point = figure.dpi / 72.0
+    point = axes.figure.dpi / 72.0
     area = axes.get_window_extent()
     font = labels[0].size * point
     anchors = np.array([axes.transData.transform(label.at) for label in labels])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.animation import FuncAnimation
 from matplotlib.artist import Artist
@@ -11,7 +9,6 @@ from matplotlib.axes import Axes
 
 from optlink.errors import InputError
 from optlink.linkage.arguments import check_number
-from optlink.linkage.motion import sweep
 from optlink.presentation.drawing import Sketch
 from optlink.presentation.export.export import check_unit_of_place, place_of
 from optlink.presentation.format import single_units
@@ -74,10 +71,9 @@ def _pose(sketch: Sketch, axes: Axes, k: int) -> list[Artist]:
     for name, (places, chosen) in sketch.places_of_names.items():
         at = sketch.position(sketch.shown, name)[k] + places[chosen[k]]
         if np.all(np.isfinite(at)):
-            look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 9.0, "zorder": 9, "clip_on": True}
-            artists.append(
-                axes.text(float(at[0]), float(at[1]), sketch.captions[name], path_effects=HALO, gid=f"name {name}", **look)
-            )
+            text = axes.text(at[0], at[1], sketch.captions[name], ha="center", va="center", fontsize=9.0, zorder=9, clip_on=True)
+            text.set(path_effects=HALO, gid=f"name {name}")
+            artists.append(text)
     return artists
 
 
@@ -92,13 +88,13 @@ def draw_linkage(result: Document, ax: Axes | None = None, angle: float | None =
         if angle is not None:
             check_unit_of_place(cycle, angle, "angle")
             at = place_of(cycle, check_number("angle", angle), "angle")
-        sketch = sketch.moved(sweep(machine.mechanism, machine.sizes, [at], cycle.speed))
+        sketch = sketch.moved(machine.motion([at], cycle.speed))
         if axes is None:
             fig = notebook_figure(WIDTH, min(WIDTH * sketch.ratio + 1.0, 8.0))
             with apply_style():
                 axes = fig.add_subplot()
                 title = f"{result.problem.model.title}\n{cycle.problem.model.driving.text(at)}"
-                axes.set_title("\n".join(heading(line, WIDTH) for line in title.split("\n")), fontsize=10)
+                axes.set_title(heading(title, WIDTH), fontsize=10)
         with apply_style():
             sketch.stage(axes)
             _pose(sketch, axes, 0)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from optlink.dynamics.machine import Ends, Machine
 from optlink.linkage.cams import Profile
 from optlink.linkage.jet import as_jet
-from optlink.linkage.mechanism import FRAME, Guide
-from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.mechanism import FRAME, Guide, Mechanism
+from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Array, Vector
 from optlink.presentation.chart_spec import BODIES, CRANK, GROUND, LIMIT, MUTED
 from optlink.presentation.format import Scale, scale
@@ -26,16 +26,21 @@ from optlink.presentation.placement import Choice, arrange, beside, short_name, 
 from optlink.presentation.shapes import (
     Part,
     clipped,
+    distinct,
     even,
     finite,
+    finite_range,
     hatching,
     hull,
     in_line,
+    left_of,
+    plain,
     rectangle,
     spiral,
     spread,
     stem,
     strokes,
+    ways,
     zigzag,
 )
 from optlink.problem.file import ProblemFile
@@ -119,7 +124,7 @@ class Region:
             assert limit.radius is not None
             turns = np.linspace(0.0, TURN, ROUND)
             centre = np.array([each.value for each in limit.centre])
-            return np.asarray(centre + (limit.radius.value + offset) * np.column_stack([np.cos(turns), np.sin(turns)]))
+            return np.asarray(centre + (limit.radius.value + offset) * ways(turns))
         if limit.region == "half-plane":
             assert limit.direction is not None
             c, s = math.cos(limit.direction.value), math.sin(limit.direction.value)
@@ -131,9 +136,8 @@ class Region:
         line: list[Array] = []
         for k, (corner, end) in enumerate(zip([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], (bottom, right, top, left), strict=True)):
             turns = math.pi + 0.25 * TURN * (k + np.linspace(0.0, 1.0, CORNER if offset > 0.0 else 2))
-            ways = np.column_stack([np.cos(turns), np.sin(turns)])
-            ways = ways if offset > 0.0 else np.sum(ways, axis=0, keepdims=True)
-            line += [np.array(corner) + offset * ways, *([] if math.isfinite(end) else [np.full((1, 2), np.nan)])]
+            arms = ways(turns) if offset > 0.0 else np.sum(ways(turns), axis=0, keepdims=True)
+            line += [np.array(corner) + offset * arms, *([] if math.isfinite(end) else [np.full((1, 2), np.nan)])]
         return np.concatenate([*line, line[0][:1]])
 
     def _label(self, edge: Array, size: float) -> Array:
@@ -258,6 +262,13 @@ def profiles(motion: Motion, machine: Machine | None) -> dict[str, list[Profile]
     return curves
 
 
+def colours_of(mechanism: Mechanism) -> dict[str, str]:
+    """Return the colours of the moving bodies, the crank's last."""
+    crank = mechanism.crank.body
+    others = [body for body in mechanism.bodies if body != crank]
+    return {body: BODIES[k % len(BODIES)] for k, body in enumerate(others)} | {crank: CRANK}
+
+
 def named_points(motion: Motion, body: str) -> dict[str, Array]:
     """Return the named points of a body in its own axes [m]; the end of a cylinder is one of its rod."""
     mechanism, pose = motion.mechanism, motion.pose
@@ -265,7 +276,7 @@ def named_points(motion: Motion, body: str) -> dict[str, Array]:
         return {mechanism.origin(body): np.zeros(2)}
     ends = [link.end for link in mechanism.rods.values() if link.body == body]
     names = [name for name, bodies in mechanism.owners.items() if body in bodies and name not in ends]
-    return {name: np.array([float(as_jet(part).value) for part in pose.local(body, name)]) for name in names}
+    return {name: plain(pose.local(body, name)) for name in names}
 
 
 class Scene:
@@ -300,8 +311,7 @@ class Scene:
         self.size = share * extent * self.scale.factor
         crank = self.mechanism.crank.body
         self.driven = {crank, *(drive.body for drive in self.mechanism.drives)}
-        bodies = [body for body in self.mechanism.bodies if body != crank]
-        self.colours = {FRAME: GROUND} | {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)} | {crank: CRANK}
+        self.colours = {FRAME: GROUND, **colours_of(self.mechanism)}
         self.colours |= {rod: self.colours[link.body] for rod, link in self.mechanism.rods.items()}
         self.travel = {guide.name: self._travel(guide) for guide in self.mechanism.guides}
         inertias = machine.inertias if machine else {}
@@ -427,16 +437,12 @@ class Scene:
         }
 
     def _vector(self, vector: Vector) -> Array:
-        return np.array([float(as_jet(part).value) for part in vector]) * self.scale.factor
+        return plain(vector) * self.scale.factor
 
     def _points_of(self, body: str) -> Array:
         """Return the named points of a body in its own axes, without duplicates."""
-        points: list[Array] = []
-        for local in named_points(self.motion, body).values():
-            at = local * self.scale.factor
-            if all(np.max(np.abs(at - other)) > 1e-3 * self.size for other in points):
-                points.append(at)
-        return np.array(points).reshape(-1, 2)
+        points = (local * self.scale.factor for local in named_points(self.motion, body).values())
+        return distinct(points, 1e-3 * self.size)
 
     def _line(self, guide: Guide, body: str) -> tuple[Array, Array]:
         point, direction = self.motion.pose.local_line(guide, body)
@@ -444,8 +450,7 @@ class Scene:
 
     def _travel(self, guide: Guide) -> tuple[float, float]:
         slides = np.asarray(self.motion.slide(guide.name).value) * self.scale.factor
-        finite_slides = slides[np.isfinite(slides) & self.near]
-        return (float(finite_slides.min()), float(finite_slides.max())) if finite_slides.size else (0.0, 0.0)
+        return finite_range(slides[self.near])
 
     def _turned_at(self, ends: Ends) -> str:
         """Return the point about which a torsion spring is drawn: the joint of its bodies, else the first point of one."""
@@ -460,7 +465,7 @@ class Scene:
         if guide.on == FRAME or len(self._points_of(guide.on)) > 1:
             return False
         points, (point, direction) = self._points_of(guide.slider), self._line(guide, guide.slider)
-        off = (points - point) @ np.array([-direction[1], direction[0]])
+        off = (points - point) @ left_of(direction)
         return len(points) > 1 and bool(np.all(np.abs(off) < 0.05 * self.size))
 
     def _curves(self, body: str) -> list[Part]:
@@ -509,12 +514,11 @@ class Scene:
                 strokes = hatching(at - s * np.array([0.9, 1.0]), np.array([1.0, 0.0]), 1.8 * s, -0.35 * s, 0.25 * s)
                 lines.append((strokes, 0.8, False))
             else:
-                cross = np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]])
-                lines.append((at + 0.35 * s * cross, 1.0, False))
+                lines.append((at + 0.35 * s * CROSS, 1.0, False))
         for guide in self.mechanism.guides:
             if guide.on == FRAME:
                 point, direction = self._line(guide, FRAME)
-                left = np.array([-direction[1], direction[0]])
+                left = left_of(direction)
                 offset = float((middle - point) @ left)
                 side = -math.copysign(1.0, offset if abs(offset) > 0.5 * s else left[1] + 1e-9 * left[0])
                 low, high = (end + room * 1.5 * s for end, room in zip(self.travel[guide.name], (-1.0, 1.0), strict=True))
@@ -560,8 +564,8 @@ class Scene:
     @property
     def ratio(self) -> float:
         """Height divided by width."""
-        (x0, x1), (y0, y1) = self.limits
-        return (y1 - y0) / (x1 - x0)
+        _, _, width, height = self.box
+        return height / width
 
     @property
     def box(self) -> tuple[float, float, float, float]:
@@ -627,17 +631,17 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None, regions:
     last = first + direction * cycle.cycle if cycle.full else float(cycle.positions[-1])
     count = steps * round(cycle.cycle / TURN) if cycle.full else max(1, math.ceil(abs(last - first) / TURN * steps))
     angles = np.linspace(first, last, count + 1)
-    whole = Scene(sweep(machine.mechanism, machine.sizes, angles, cycle.speed), machine, regions=regions, unit=MM)
+    whole = Scene(machine.motion(angles, cycle.speed), machine, regions=regions, unit=MM)
     if at is not None:
-        return whole.moved(sweep(machine.mechanism, machine.sizes, [at], cycle.speed))
+        return whole.moved(machine.motion([at], cycle.speed))
     known = np.isfinite(whole._places).all(axis=(0, 2))
     if known.all() or not known.any():
         return whole.moved(whole.motion, closed=cycle.full)
-    return whole.moved(sweep(machine.mechanism, machine.sizes, angles[known], cycle.speed), closed=cycle.full)  # a singular one
+    return whole.moved(machine.motion(angles[known], cycle.speed), closed=cycle.full)  # a singular one
 
 
 def scene_at(cycle: Analysis, angles: Array) -> Scene:
     """Return the scene of an analysed machine at crank angles (positions,) [rad], with the extent of its whole motion."""
     machine = cycle.machine
-    full_motion = sweep(machine.mechanism, machine.sizes, cycle.positions, cycle.speed)
-    return Scene(full_motion, machine, unit=MM).moved(sweep(machine.mechanism, machine.sizes, angles, cycle.speed))
+    full_motion = machine.motion(cycle.positions, cycle.speed)
+    return Scene(full_motion, machine, unit=MM).moved(machine.motion(angles, cycle.speed))

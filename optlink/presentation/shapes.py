@@ -2,13 +2,15 @@
 
 import itertools
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.jet import as_jet
+from optlink.linkage.vector2d import TURN, Array, Vector
 
 
 @dataclass(frozen=True)
@@ -30,15 +32,63 @@ def spread(points: Array) -> Array:
     return np.ptp(points, axis=0) if len(points) else np.zeros(2)
 
 
+def plain(vector: Vector) -> Array:
+    """Return a vector of jets or numbers, at one position, as an array (2,)."""
+    return np.array([float(np.squeeze(as_jet(part).value)) for part in vector])
+
+
+def cross(first: Array, second: Array) -> Array:
+    """Return the cross products of plane vectors (..., 2)."""
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
+
+
+def distinct(points: Iterable[Array], near: float) -> Array:
+    """Return those of some points that are not within a distance of an earlier one."""
+    found: list[Array] = []
+    for point in points:
+        if all(np.linalg.norm(point - other) > near for other in found):
+            found.append(point)
+    return np.array(found).reshape(-1, 2)
+
+
+def left_of(way: Array) -> Array:
+    """Return a vector, turned by a right angle to the left."""
+    return np.array([-way[1], way[0]])
+
+
+def normed(vector: Array) -> Array:
+    """Return a vector of length one, or zero."""
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-30))
+
+
+def ways(angles: Array) -> Array:
+    """Return the unit vectors (..., 2) in some directions [rad]."""
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def finite_range(values: Array) -> tuple[float, float]:
+    """Return the smallest and the largest finite value; zeros if there is none."""
+    known = values[np.isfinite(values)]
+    return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+
+
+def pieces(line: Array) -> Iterator[Array]:
+    """Yield the pieces of a line (n, 2) with gaps at NaN."""
+    known = np.all(np.isfinite(line), axis=1)
+    for piece in np.split(line, np.flatnonzero(~known)):
+        if len(kept := finite(piece)):
+            yield kept
+
+
 def rectangle(point: Array, direction: Array, low: float, high: float, half: float) -> Array:
     """Return the corners (4, 2) of a rectangle along a line, from `low` to `high` along its unit vector, `half` its width."""
-    left = np.array([-direction[1], direction[0]])
+    left = left_of(direction)
     return np.array([point + a * direction + b * half * left for a, b in ((low, -1.0), (high, -1.0), (high, 1.0), (low, 1.0))])
 
 
 def hatching(begin: Array, direction: Array, length: float, depth: float, spacing: float) -> Array:
     """Return slanted strokes beside a line, as one line with gaps; they lie to its left if the depth is positive."""
-    left, gap = np.array([-direction[1], direction[0]]), np.full(2, np.nan)
+    left, gap = left_of(direction), np.full(2, np.nan)
     slant = abs(depth) * 0.75
     count = max(2, math.floor((length - slant) / spacing) + 1)
     starts = np.linspace(slant, length, count)
@@ -55,7 +105,7 @@ def strokes(line: Array, depth: float, spacing: float) -> Array:
         k = int(np.searchsorted(ends, at))
         way = along[k] / lengths[k]
         begin = line[k] + (at - ends[k] + lengths[k]) * way
-        shown.append(np.array([begin, begin + depth * (np.array([-way[1], way[0]]) - 0.75 * way), [np.nan, np.nan]]))
+        shown.append(np.array([begin, begin + depth * (left_of(way) - 0.75 * way), [np.nan, np.nan]]))
     return np.concatenate(shown)
 
 
@@ -92,7 +142,7 @@ def in_line(points: Array, near: float) -> NDArray[np.intp] | None:
     arms = points - points[0]
     lengths = np.linalg.norm(arms, axis=1)
     along = arms[np.argmax(lengths)] / np.max(lengths)
-    beside = np.abs(arms @ np.array([-along[1], along[0]]))
+    beside = np.abs(arms @ left_of(along))
     return None if np.max(beside) > near else np.argsort(arms @ along)
 
 
@@ -121,7 +171,7 @@ def zigzag(size: float) -> list[tuple[float, float]]:
 def spiral(size: float) -> Array:
     """Return a torsion spring about the origin (n, 2): two turns that widen from the ring of a joint."""
     turns = np.linspace(0.0, 2.0 * TURN, 73)
-    return np.asarray(np.linspace(0.45, 1.1, 73)[:, None] * size * np.column_stack([np.cos(turns), np.sin(turns)]))
+    return np.asarray(np.linspace(0.45, 1.1, 73)[:, None] * size * ways(turns))
 
 
 def even(count: int, most: int) -> NDArray[np.intp]:

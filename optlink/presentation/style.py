@@ -227,7 +227,9 @@ def panels(fig: PlainFigure, count: int, columns: int) -> list[Axes]:
 
 
 def heading(text: str, width: float, size: float = 11.0) -> str:
-    """Break a title into lines that fit a width [inch] at a font size [pt]."""
+    """Break the lines of a title so that they fit a width [inch] at a font size [pt]."""
+    if "\n" in text:
+        return "\n".join(heading(line, width, size) for line in text.split("\n"))
     wide = any(unicodedata.east_asian_width(letter) in "WF" for letter in text)
     return textwrap.fill(text, max(16, int(72.0 * width / ((1.0 if wide else 0.58) * size))))
 

@@ -94,14 +94,14 @@ def registered_charts(result: Any) -> list[ChartSpec]:
 
 @dataclass(frozen=True)
 class SomeDrawing:
-    """A drawing of those results for which `has` is true; a decorator as `partial(SomeDrawing, has)`."""
+    """A drawing of some results: `of` returns what is drawn, or something false; a decorator as `partial(SomeDrawing, of)`."""
 
-    has: Callable[[Any], object]
+    of: Callable[[Any], object]
     draw: Callable[[Any], Figure | None]
 
     def __call__(self, model: Any) -> Figure | None:
         """Return the figure; None if the result has none."""
-        return self.draw(model) if self.has(model) else None
+        return self.draw(shown) if (shown := self.of(model)) else None
 
 
 @dataclass(frozen=True)

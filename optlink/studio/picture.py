@@ -8,7 +8,7 @@ import numpy as np
 
 from optlink.dynamics.machine import Machine
 from optlink.io import finite
-from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.scene import LOOKS, MM, Outline, Region, Scene
 from optlink.presentation.shapes import zigzag
@@ -42,14 +42,14 @@ class Picture:
         else:
             low, high = limits if direction > 0.0 else limits[::-1]
             angles = np.linspace(low, high, POSITIONS + 1)
-        motion = sweep(self.mechanism, machine.sizes, angles)
+        motion = machine.motion(angles)
         points = np.array([motion.position(name) for name in self.mechanism.owners])
         assembled = motion.assembled & np.isfinite(points).all(axis=(0, 2))
         self.complete = bool(np.all(assembled))
         self.closed = self.complete and limits is None
         if not self.complete:
             angles = angles[assembled] if machine.ranges.full else self._reachable(start, direction)
-            motion = sweep(self.mechanism, machine.sizes, angles)
+            motion = machine.motion(angles)
         self.motion: Motion = motion
         self.angles: Array = np.asarray(motion.crank_angle, dtype=float)
         self.scene = Scene(motion, machine, regions=regions, unit=MM).moved(motion, closed=self.closed)

@@ -11,6 +11,7 @@ from optlink.linkage.vector2d import Array
 from optlink.presentation.export.dxf import Vertex
 from optlink.presentation.parts.layout import Placed, engraved, laid_out
 from optlink.presentation.parts.model import PartSet
+from optlink.presentation.parts.outline import edges
 
 CUT, ENGRAVE = "CUT", "ENGRAVE"
 LOOKS = {CUT: ("#ff0000", 1), ENGRAVE: ("#0000ff", 5)}
@@ -89,8 +90,7 @@ def _moved(outline: Sequence[Vertex], shift: Array) -> list[Vertex]:
 
 def _crosses(one: Placed) -> list[tuple[Array, Array]]:
     """Return the lines of the crosses at the points of a part that are no joints."""
-    arm = CROSS * one.part.openings[0].diameter
-    arms = (np.array([arm, 0.0]), np.array([0.0, arm]))
+    arms = CROSS * one.part.openings[0].diameter * np.eye(2)
     return [(at + one.shift - way, at + one.shift + way) for at in one.part.marks.values() for way in arms]
 
 
@@ -101,7 +101,7 @@ def _number(value: float) -> str:
 def path_data(outline: Sequence[Vertex]) -> str:
     """Return a closed outline as path data; the y axis of SVG points down."""
     text = f"M{_number(outline[0][0])} {_number(-outline[0][1])}"
-    for (x, y, bulge), (u, v, _) in zip(outline, (*outline[1:], outline[0]), strict=True):
+    for (x, y, bulge), (u, v, _) in edges(outline):
         radius = 0.25 * math.hypot(u - x, v - y) * abs(bulge + 1.0 / bulge) if bulge else 0.0
         large = int(abs(bulge) > 1.0)
         arc = f"A{_number(radius)} {_number(radius)} 0 {large} 0" if bulge else "L"

@@ -8,16 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from optlink.dynamics.machine import slider_names
-from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.chart_spec import GROUND
 from optlink.presentation.export.svg import svg
 from optlink.presentation.html.theme import readable
 from optlink.presentation.placement import CELL, HIGH, LEVEL, Places, arrange, beside, joined, sampled
 from optlink.presentation.scene import Scene, Shape, Text, scene
-from optlink.presentation.shapes import finite, hull, in_line
+from optlink.presentation.shapes import even, finite, hull, in_line, left_of, normed, pieces, plain, ways
 from optlink.tasks.analyze import Analysis
 
 POSITIONS = 24  # positions from which the clearest is drawn
@@ -79,8 +77,8 @@ def clearest(cycle: Analysis) -> float:
     """Return the crank angle [rad] at which the joints keep farthest from the lines of links to which they do not belong."""
     machine, mechanism = cycle.machine, cycle.machine.mechanism
     all_angles = cycle.positions
-    angles = all_angles[np.linspace(0, len(all_angles) - 1, POSITIONS).round().astype(int)]
-    motion = sweep(mechanism, machine.sizes, angles)
+    angles = all_angles[even(len(all_angles), POSITIONS)]
+    motion = machine.motion(angles)
     places = {name: motion.position(name) for name in mechanism.owners}
     gaps = [np.full(len(angles), math.inf)]
     for body in (*mechanism.bodies, FRAME):
@@ -136,13 +134,11 @@ def _neighbours(points: Array) -> list[tuple[int, int]]:
 def _strokes(cycle: Analysis, at: float, drawn: Scene, *, named: bool = False) -> Iterator[_Length]:
     """Yield the strokes of the sliders on the frame, along their guides."""
     machine = cycle.machine
-    motion = sweep(machine.mechanism, machine.sizes, [at])
+    motion = machine.motion([at])
     for guide in machine.mechanism.guides:
         travel = cycle.strokes.get(slider_names(machine)[guide.name])
         if guide.on == FRAME and travel is not None:
-            point, direction = (
-                np.array([float(np.asarray(part)) for part in vector]) for vector in motion.pose.local_line(guide, FRAME)
-            )
+            point, direction = map(plain, motion.pose.local_line(guide, FRAME))
             ends = (1e3 * (point + travel.low * direction), 1e3 * (point + travel.high * direction))
             text = f"stroke {guide.slider} {_mm(1e3 * travel.span)}" if named else f"stroke {_mm(1e3 * travel.span)}"
             yield _Length(ends, text, _colour(drawn, guide.slider))
@@ -151,10 +147,9 @@ def _strokes(cycle: Analysis, at: float, drawn: Scene, *, named: bool = False) -
 def _guides(cycle: Analysis, at: float, drawn: Scene) -> Iterator[tuple[str, _Length]]:
     """Yield every guide in words, and its distance from the point that places it, else the first of its body."""
     mechanism = cycle.machine.mechanism
-    pose = sweep(mechanism, cycle.machine.sizes, [at]).pose
+    pose = cycle.machine.motion([at]).pose
     for guide in mechanism.guides:
-        line = (np.array([as_jet(part).value for part in vector], dtype=float).ravel() for vector in pose.line(guide, guide.on))
-        start, along = line
+        start, along = map(plain, pose.line(guide, guide.on))
         near = mechanism.crank.start if guide.on == FRAME else pose.mechanism.bodies[guide.on].start
         near = guide.through if isinstance(guide.through, str) and guide.through in drawn.points else near
         place = drawn.points[near][0]
@@ -222,7 +217,7 @@ class _Sheet:
         self.scene, self.size, self.font = drawn, 0.8 * drawn.size, 0.95 * drawn.size
         shapes = [one for one in drawn.moving_shapes if one.layer not in ("centroid", "joints")]
         lines = [drawn.located(one, drawn.shown)[0] for one in shapes] + [line for line, _, _ in drawn.ground]
-        self.links = [piece for line in lines for piece in _pieces(line)]
+        self.links = [piece for line in lines for piece in pieces(line)]
         self.items: list[tuple[Places, Callable[[int], None]]] = []  # possible places, and how one is drawn
         self.drawn: list[Shape | Text] = []
 
@@ -237,7 +232,7 @@ class _Sheet:
         if span < 1e-9 or not dimension.text:
             return
         along, half = (q - p) / span, self._half(dimension.text)
-        normal = np.array([-along[1], along[0]])
+        normal = left_of(along)
         inside = span > 2.0 * half + 2.5 * self.size
         beyond = 0.5 + (half + 1.4 * self.size) / span  # share of the length at which the text stands beside the arrows
         shares = [
@@ -281,7 +276,7 @@ class _Sheet:
         half, full = self._half(text), high - low >= TURN - 1e-9
         turn = min(high - low, math.radians(300.0))
         directions = start + np.linspace(0.0, turn, max(8, math.ceil(math.degrees(turn) / 4)))
-        rays = np.stack([np.cos(directions), np.sin(directions)], axis=1)
+        rays = ways(directions)
         outside = (half + 0.8 * self.font) / (3.2 * self.size * max(high - low, 1e-9))  # beyond the ends of a narrow range
         shares = np.linspace(0.1, 0.9, 9).tolist() + ([] if outside > 4.0 or high - low > 2.0 else [-outside, 1.0 + outside])
         places = []
@@ -341,20 +336,11 @@ class _Sheet:
         self.drawn.append(Shape("dimensions", "", points, colour, 0.8 * width))
 
     def _arrow(self, tip: Array, direction: Array, colour: str) -> None:
-        direction = direction / max(float(np.linalg.norm(direction)), 1e-30)
-        left = np.array([-direction[1], direction[0]])
+        direction = normed(direction)
+        left = left_of(direction)
         back = tip - 0.75 * self.size * direction
         corners = np.array([tip, back + 0.16 * self.size * left, back - 0.16 * self.size * left])
         self.drawn.append(Shape("dimensions", "", corners, colour, 0.0, fill=colour))
 
     def _text(self, at: Array, text: str, colour: str, angle: float) -> None:
         self.drawn.append(Text(text, at, colour, self.font, angle))
-
-
-def _pieces(line: Array) -> Iterator[Array]:
-    """Yield the pieces of a line with gaps at NaN."""
-    finite_points = np.all(np.isfinite(line), axis=1)
-    for piece in np.split(line, np.flatnonzero(~finite_points)):
-        kept = piece[np.all(np.isfinite(piece), axis=1)]
-        if len(kept):
-            yield kept

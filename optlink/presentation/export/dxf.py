@@ -18,11 +18,11 @@ from optlink.dynamics.machine import slider_names
 from optlink.errors import InputError
 from optlink.linkage.cams import Profile
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
-from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.format import round_below
 from optlink.presentation.scene import Outline, Region, named_points, scene
-from optlink.presentation.shapes import hull, in_line
+from optlink.presentation.shapes import cross, distinct, finite_range, hull, in_line, pieces
 from optlink.tasks.analyze import Analysis
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def document(
     from ezdxf.filemanagement import new
 
     machine = cycle.machine
-    motion = sweep(machine.mechanism, machine.sizes, [at])
+    motion = machine.motion([at])
     drawn = scene(cycle, regions=regions)
     body, least = nearest_holes(machine.mechanism, motion)
     diameter = usual_hole(min(max(drawn.box[2:]), MAX_HOLE_SHARE * least / HOLE)) if hole is None else 1e3 * hole
@@ -168,12 +168,9 @@ def _vector(vector: tuple[object, object]) -> Array:
 
 def travelled(cycle: Analysis, guide: Guide) -> tuple[float, float]:
     """Return the least and largest slide [m] of a slider along its guide."""
-    slides = cycle[f"{slider_names(cycle.machine)[guide.name]}.s_m"]
-    finite_slides = slides[np.isfinite(slides)]
-    travel = cycle.strokes.get(slider_names(cycle.machine)[guide.name])
-    if travel is not None:
-        return travel.low, travel.high
-    return (float(finite_slides.min()), float(finite_slides.max())) if finite_slides.size else (0.0, 0.0)
+    name = slider_names(cycle.machine)[guide.name]
+    travel = cycle.strokes.get(name)
+    return finite_range(cycle[f"{name}.s_m"]) if travel is None else (travel.low, travel.high)
 
 
 def _slot(motion: Motion, guide: Guide, travel: tuple[float, float]) -> tuple[Array, Array]:
@@ -189,12 +186,12 @@ def rounded(points: Array, radius: float) -> tuple[Vertex, ...]:
     It consists of straight edges and arcs: two vertices per corner, with the arc between them as a bulge.
     """
     extent = float(np.max(np.ptp(points, axis=0)))
-    corners = _distinct(points, COINCIDENT * max(extent, radius))
+    corners = distinct(points, COINCIDENT * max(extent, radius))
     if len(corners) > 2:
         corners = hull(corners)
         arms = np.roll(corners, -1, axis=0) - corners
         before = np.roll(arms, 1, axis=0)
-        sines = (before[:, 0] * arms[:, 1] - before[:, 1] * arms[:, 0]) / np.prod(np.linalg.norm([before, arms], axis=2), axis=0)
+        sines = cross(before, arms) / np.prod(np.linalg.norm([before, arms], axis=2), axis=0)
         corners = corners[sines > COINCIDENT] if np.sum(sines > COINCIDENT) > 2 else corners
         order = in_line(corners, COINCIDENT * extent)
         corners = corners if order is None else corners[order[[0, -1]]]
@@ -204,19 +201,11 @@ def rounded(points: Array, radius: float) -> tuple[Vertex, ...]:
     vertices: list[Vertex] = []
     for k, corner in enumerate(corners):
         before, after = corner - corners[k - 1], corners[(k + 1) % len(corners)] - corner
-        turned = math.atan2(before[0] * after[1] - before[1] * after[0], float(before @ after)) % TURN
+        turned = math.atan2(cross(before, after), before @ after) % TURN
         normals = [np.array([edge[1], -edge[0]]) / np.linalg.norm(edge) for edge in (before, after)]
         first, second = (corner + radius * normal for normal in normals)
         vertices += [(float(first[0]), float(first[1]), math.tan(turned / 4.0)), (float(second[0]), float(second[1]), 0.0)]
     return tuple(vertices)
-
-
-def _distinct(points: Array, near: float) -> Array:
-    distinct: list[Array] = []
-    for point in points:
-        if all(np.linalg.norm(point - other) > near for other in distinct):
-            distinct.append(point)
-    return np.array(distinct)
 
 
 # --- drawing -----------------------------------------------------------------------------------------------------------------
@@ -228,7 +217,7 @@ def _cut(block: BlockLayout, plate: Plate, diameter: float, radius: float) -> No
     for at in plate.holes.values():
         block.add_circle(tuple(at), 0.5 * diameter, dxfattribs=layer)
     for at in plate.marks.values():
-        for arm in (np.array([0.5 * diameter, 0.0]), np.array([0.0, 0.5 * diameter])):
+        for arm in 0.5 * diameter * np.eye(2):
             block.add_line(tuple(at - arm), tuple(at + arm), dxfattribs={"layer": MARKS})
     for first, last in plate.slots:
         if plate.body == FRAME or np.linalg.norm(last - first) <= COINCIDENT * radius:
@@ -257,11 +246,9 @@ def _mark_out(drawing: Drawing, regions: Sequence[Outline], radius: float) -> No
     for region in regions:
         look = {"layer": REGIONS, **({"color": 1} if region.violated else {})}
         for line, way in ((region.edge, "Continuous"), (region.clearance, "DASHED")):
-            gaps = np.flatnonzero(~np.isfinite(line[:, 0]))
-            for piece in np.split(line, gaps):
-                known = piece[np.isfinite(piece[:, 0])]
-                if len(known) > 1:
-                    space.add_lwpolyline(known.tolist(), dxfattribs={**look, "linetype": way, "ltscale": radius})
+            for piece in pieces(line):
+                if len(piece) > 1:
+                    space.add_lwpolyline(piece.tolist(), dxfattribs={**look, "linetype": way, "ltscale": radius})
         if np.all(np.isfinite(region.label)):
             text = space.add_text(region.name, height=0.6 * radius, dxfattribs=look)
             text.set_placement(tuple(region.label), align=TextEntityAlignment.MIDDLE_CENTER)

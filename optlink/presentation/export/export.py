@@ -12,11 +12,12 @@ from optlink.io import finite, head, whole, write_json
 from optlink.linkage.elements import disc_cams
 from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import Failure, failure
-from optlink.linkage.vector2d import TURN, Array, Vector
+from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.files import check_target, write_csv
+from optlink.presentation.parts.model import part_set
 from optlink.presentation.report_model import ReportModel
+from optlink.presentation.shapes import plain
 from optlink.problem.file import check_plausible
 from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range, nearest
 from optlink.tasks.analyze import MAX_POINTS, Analysis, analyze
@@ -180,7 +181,7 @@ def _csv(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> N
 
 def cam_curves(cycle: Analysis) -> Iterator[tuple[str, Array]]:
     """Yield columns of the contact point of every cam, its profile, and of the follower's point, in the axes of the cam."""
-    pose = sweep(cycle.machine.mechanism, cycle.machine.sizes, cycle.positions).pose
+    pose = cycle.machine.motion(cycle.positions).pose
     for cam, disc in disc_cams(pose).items():
         contact = disc.at(as_jet(pose.turned(cam.cam) - pose.turned(cam.against)).value)
         centre = complex(*(float(part) for part in pose.local(cam.cam, cam.pivot)))
@@ -196,7 +197,6 @@ def _json(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> 
 def _cutting(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> Sequence[str]:
     """Write the parts for laser cutting."""
     from optlink.presentation.export.cutting import WRITERS
-    from optlink.presentation.parts.model import part_set
 
     write = WRITERS[path.suffix.lower()]
     parts = part_set(cycle, options.hole, options.width)
@@ -208,7 +208,6 @@ def _cutting(model: ReportModel, cycle: Analysis, path: Path, options: Options) 
 def _printing(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> Sequence[str]:
     """Write the parts as solids on a plate."""
     from optlink.presentation.export.printing import KERNELS
-    from optlink.presentation.parts.model import part_set
 
     kernel = KERNELS[path.suffix.lower()]()
     parts = part_set(cycle, options.hole, options.width)
@@ -222,10 +221,9 @@ def _assembly(model: ReportModel, cycle: Analysis, path: Path, options: Options)
     """Write the parts, pins and spacers as solids in their layers, at a crank angle."""
     from optlink.presentation.export.printing import KERNELS
     from optlink.presentation.parts.layers import stacked
-    from optlink.presentation.parts.model import part_set
 
     kernel = KERNELS[path.suffix.lower()]()
-    motion = sweep(cycle.machine.mechanism, cycle.machine.sizes, [place_of(cycle, options.at)])
+    motion = cycle.machine.motion([place_of(cycle, options.at)])
     parts = part_set(cycle, options.hole, options.width)
     solids = [*kernel.assembled(stacked(parts), motion)]
     with whole(path) as temporary:
@@ -237,14 +235,13 @@ def _sheet(model: ReportModel, cycle: Analysis, path: Path, options: Options) ->
     """Write the workshop sheets; those of a design that is not valid say so in their title."""
     from optlink.presentation.export.workshop import WRITERS
     from optlink.presentation.html.shell import letterhead
-    from optlink.presentation.parts.model import part_set
     from optlink.presentation.parts.sheet import sheets
 
     angles = spread(cycle) if options.at is None else [place_of(cycle, options.at)]
     problem = model.problem.model
     head = {"title": problem.title, **letterhead(model.problem)}
     head["title"] = head["title"] if model.valid else f"NOT VALID: {head['title']}"
-    positions = sweep(cycle.machine.mechanism, cycle.machine.sizes, angles)
+    positions = cycle.machine.motion(angles)
     parts = part_set(cycle, options.hole, options.width)
     drawn, notes = sheets(parts, cycle, positions, [f"assembly, {problem.driving.text(at)}" for at in angles], head)
     with whole(path) as temporary:
@@ -259,7 +256,7 @@ def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
 
     machine = cycle.machine
     mechanism = machine.mechanism
-    motion = sweep(mechanism, machine.sizes, [at])
+    motion = machine.motion([at])
 
     def local(body: str) -> dict[str, list[float]]:
         return {name: at.tolist() for name, at in named_points(motion, body).items()}
@@ -272,8 +269,8 @@ def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
             bodies[body] |= {"inertia": vars(machine.inertias[body]) | {}}
     guides = {}
     for guide in mechanism.guides:
-        point, direction = motion.pose.local_line(guide, guide.on)
-        record = {"slider": guide.slider, "on": guide.on, "through_m": _plain(point), "direction": _plain(direction)}
+        point, direction = map(plain, motion.pose.local_line(guide, guide.on))
+        record = {"slider": guide.slider, "on": guide.on, "through_m": point.tolist(), "direction": direction.tolist()}
         guides[guide.name] = record | {"travel_m": list(travelled(cycle, guide))}
     document = {
         **head(SCHEMA, model.problem, "valid" if model.valid else "not valid"),
@@ -290,10 +287,6 @@ def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
         "points_m": {name: motion.position(name)[0].tolist() for name in mechanism.owners},
     }
     return finite(document)  # type: ignore[no-any-return]
-
-
-def _plain(vector: Vector) -> list[float]:
-    return [float(part) for part in vector]
 
 
 def _foreign(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from optlink.dynamics.machine import Force, Load, SlideDamper, Spring, Torque, T
 from optlink.errors import InputError
 from optlink.linkage.bodies import FRAME, Guide
 from optlink.linkage.vector2d import TURN
+from optlink.presentation.shapes import plain
 from optlink.problem.machine.loads import Constant
 from optlink.tasks.analyze import Analysis
 
@@ -83,6 +85,7 @@ class _Model:
         self.kinetic, self.cycle, self.machine, self.mechanism = kinetic, cycle, cycle.machine, cycle.machine.mechanism
         self.moving = self.machine.moving([at], cycle.speed)
         self.size = float(self.machine.size)
+        self.world, self.tendons = Element("worldbody"), Element("tendon")
         self.parents: dict[str, tuple[str, Hinge | Slide]] = {}
         self.loops = self._span()
         self.tree = {body: [child for child, (parent, _) in self.parents.items() if parent == body] for body in self.bodies}
@@ -143,7 +146,7 @@ class _Model:
 
     def text(self) -> str:
         """Return the model as text."""
-        root = ElementTree.Element("mujoco", model=self.cycle.problem.model.title)
+        root = Element("mujoco", model=self.cycle.problem.model.title)
         root.append(
             ElementTree.Comment(
                 " The plane of the machine is x-z; SI units, angles in rad. Load the keyframe 'start' first. The torque of the "
@@ -152,50 +155,50 @@ class _Model:
             )
         )
         step = TURN / abs(self.cycle.speed) / STEPS
-        ElementTree.SubElement(root, "compiler", angle="radian", autolimits="true")
+        SubElement(root, "compiler", angle="radian", autolimits="true")
         option = {"integrator": "implicitfast", "timestep": _text(step), "gravity": _vector(_complex(self.machine.gravity))}
         option |= {"solver": "Newton", "tolerance": "1e-14", "iterations": "50"}
-        ElementTree.SubElement(ElementTree.SubElement(root, "option", option), "flag", contact="disable")
+        SubElement(SubElement(root, "option", option), "flag", contact="disable")
         settings = {"solref": f"{_text(2.0 * step)} 1", "solimp": f"{IMPEDANCE} {IMPEDANCE} {_text(1e-3 * self.size)} 0.5 2"}
-        ElementTree.SubElement(ElementTree.SubElement(root, "default"), "equality", settings)
-        world = ElementTree.SubElement(root, "worldbody")
-        self._fill(world, FRAME)
-        equality = ElementTree.SubElement(root, "equality")
+        SubElement(SubElement(root, "default"), "equality", settings)
+        root.append(self.world)
+        self._fill(self.world, FRAME)
+        equality = SubElement(root, "equality")
         for loop in self.loops:
             sites = {f"site{end}": f"{body}.{loop.point}" for end, body in enumerate(loop.bodies, 1)}
-            ElementTree.SubElement(equality, "connect", {"name": loop.name, **sites})
-        tendons = ElementTree.SubElement(root, "tendon")
-        actuators = ElementTree.SubElement(root, "actuator")
+            SubElement(equality, "connect", {"name": loop.name, **sites})
+        root.append(self.tendons)
+        actuators = SubElement(root, "actuator")
         gain = {"kv": _text(GAIN * self.flywheel / step), "joint": self.parents[self.mechanism.crank.body][1].name}
-        ElementTree.SubElement(actuators, "velocity", {"name": "drive", **gain})
+        SubElement(actuators, "velocity", {"name": "drive", **gain})
         for load in self.machine.loads:
-            acts = ACTUATORS[type(load)](self, load, tendons, world)
-            ElementTree.SubElement(actuators, "general", {"name": load.name, "gainprm": "0", "biastype": "affine", **acts})
-        if not len(tendons):
-            root.remove(tendons)
+            acts = ACTUATORS[type(load)](self, load)
+            SubElement(actuators, "general", {"name": load.name, "gainprm": "0", "biastype": "affine", **acts})
+        if not len(self.tendons):
+            root.remove(self.tendons)
         rates = " ".join(map(_text, self._rates(FRAME)))
         control = " ".join([_text(self.cycle.speed), *("0" for _ in self.machine.loads)])
-        ElementTree.SubElement(ElementTree.SubElement(root, "keyframe"), "key", name="start", qvel=rates, ctrl=control)
+        SubElement(SubElement(root, "keyframe"), "key", name="start", qvel=rates, ctrl=control)
         ElementTree.indent(root)
         return ElementTree.tostring(root, encoding="unicode") + "\n"
 
-    def _fill(self, element: ElementTree.Element, body: str) -> None:
+    def _fill(self, element: Element, body: str) -> None:
         """Add the points of a body, its shape, and the bodies that hang on it."""
         points = self.points(body)
         for point in points:
-            ElementTree.SubElement(
+            SubElement(
                 element, "site", name=f"{body}.{point}", pos=_vector(self.local(body, point)), size=_text(0.006 * self.size)
             )
         for point in points if body != FRAME else ():
             end, shape = self.local(body, point), {"type": "sphere", "size": _text(0.012 * self.size)}
             if abs(end) > 0.0:
                 shape |= {"type": "capsule", "fromto": f"0 0 0 {_vector(end)}"}
-            ElementTree.SubElement(element, "geom", shape | {"mass": "0"})
+            SubElement(element, "geom", shape | {"mass": "0"})
         (start, axis), joints = self.place(body), self.tree[body]
         for child in joints:
             (to, along), (_, joint) = self.place(child), self.parents[child]
             turned = f"0 -1 0 {_text(float(np.angle(along / axis)))}"
-            inner = ElementTree.SubElement(element, "body", name=child, pos=_vector((to - start) / axis), axisangle=turned)
+            inner = SubElement(element, "body", name=child, pos=_vector((to - start) / axis), axisangle=turned)
             self._inertia(inner, child)
             if isinstance(joint, Hinge):
                 way = {"type": "hinge", "pos": _vector(self.local(child, joint.point)), "axis": "0 -1 0"}
@@ -205,10 +208,10 @@ class _Model:
                 way = {"type": "slide", "axis": _vector(line if child == joint.guide.slider else -line)}
             if child == self.mechanism.crank.body:
                 way["armature"] = _text(self.flywheel)
-            ElementTree.SubElement(inner, "joint", {"name": joint.name, **way})
+            SubElement(inner, "joint", {"name": joint.name, **way})
             self._fill(inner, child)
 
-    def _inertia(self, element: ElementTree.Element, body: str) -> None:
+    def _inertia(self, element: Element, body: str) -> None:
         """Add the mass of a body; a crank without one gets one at its pivot, which is without effect at constant speed."""
         mass = self.machine.inertias.get(body)
         if mass is None or float(mass.mass) == 0.0:
@@ -217,7 +220,7 @@ class _Model:
             at, size, moment = complex(float(mass.along), float(mass.across)), float(mass.mass), float(mass.moment)
         moment = moment or size * (1e-4 * self.size) ** 2  # MuJoCo needs one
         values = {"pos": _vector(at), "mass": _text(size), "diaginertia": " ".join([_text(moment)] * 3)}
-        ElementTree.SubElement(element, "inertial", values)
+        SubElement(element, "inertial", values)
 
     @cached_property
     def flywheel(self) -> float:
@@ -235,7 +238,7 @@ class _Model:
                 yield float(np.squeeze(self.moving.slides[joint.name][1]))
             yield from self._rates(child)
 
-    def angle(self, tendons: ElementTree.Element, name: str, body: str, against: str) -> Attributes:
+    def angle(self, name: str, body: str, against: str) -> Attributes:
         """Add the angle of a body relative to another, as a tendon of the hinges between them and the frame."""
         sums: dict[str, int] = {}
         for end, sign in ((body, 1), (against, -1)):
@@ -243,10 +246,10 @@ class _Model:
                 end, joint = self.parents[end]
                 if isinstance(joint, Hinge):
                     sums[joint.name] = sums.get(joint.name, 0) + sign
-        fixed = ElementTree.SubElement(tendons, "fixed", name=name)
+        fixed = SubElement(self.tendons, "fixed", name=name)
         for joint_name, sign in sums.items():
             if sign:
-                ElementTree.SubElement(fixed, "joint", joint=joint_name, coef=str(sign))
+                SubElement(fixed, "joint", joint=joint_name, coef=str(sign))
         return {"tendon": name}
 
 
@@ -295,7 +298,7 @@ def _without_counterpart(cycle: Analysis) -> Iterator[tuple[str, str, str]]:
 # Every load is an actuator with the force c + k l + d dl/dt over a length or angle l: its attributes, by the kind of load.
 
 
-def _force(model: _Model, load: Force, tendons: ElementTree.Element, world: ElementTree.Element) -> Attributes:
+def _force(model: _Model, load: Force) -> Attributes:
     """Along the guide the force acts on its joint; else on a point, against the origin of the frame."""
     guides = {guide.name: guide.on for guide in model.mechanism.guides}
     if load.against != guides.get(load.guide, FRAME):
@@ -304,7 +307,7 @@ def _force(model: _Model, load: Force, tendons: ElementTree.Element, world: Elem
     if load.guide:
         return {"joint": load.guide, **_bias(_size(load))}
     (acting,) = load.act(model.moving)
-    ElementTree.SubElement(world, "site", name=load.name, pos="0 0 0")
+    SubElement(model.world, "site", name=load.name, pos="0 0 0")
     return {
         "site": f"{load.body}.{load.point}",
         "refsite": load.name,
@@ -313,32 +316,32 @@ def _force(model: _Model, load: Force, tendons: ElementTree.Element, world: Elem
     }
 
 
-def _torque(model: _Model, load: Torque, tendons: ElementTree.Element, world: ElementTree.Element) -> Attributes:
-    return {**model.angle(tendons, load.name, load.body, load.against), **_bias(_size(load))}
+def _torque(model: _Model, load: Torque) -> Attributes:
+    return {**model.angle(load.name, load.body, load.against), **_bias(_size(load))}
 
 
-def _spring(model: _Model, load: Spring, tendons: ElementTree.Element, world: ElementTree.Element) -> Attributes:
-    spatial = ElementTree.SubElement(tendons, "spatial", name=load.name)
+def _spring(model: _Model, load: Spring) -> Attributes:
+    spatial = SubElement(model.tendons, "spatial", name=load.name)
     for body, point in load.ends:
-        ElementTree.SubElement(spatial, "site", site=f"{body}.{point}")
+        SubElement(spatial, "site", site=f"{body}.{point}")
     push = load.push({}) if load.push is not None else 0.0
     k, d = float(load.stiffness), float(load.damping)
     return {"tendon": load.name, **_bias(k * float(load.free) + float(push), -k, -d)}
 
 
-def _torsion_spring(model: _Model, load: TorsionSpring, tendons: ElementTree.Element, world: ElementTree.Element) -> Attributes:
+def _torsion_spring(model: _Model, load: TorsionSpring) -> Attributes:
     k, d = float(load.stiffness), float(load.damping)
     torque = next(load.act(model.moving)).torque + d * (
         model.moving.state(load.body).omega - model.moving.state(load.against).omega
     )
-    return {**model.angle(tendons, load.name, load.body, load.against), **_bias(float(np.squeeze(torque)), -k, -d)}
+    return {**model.angle(load.name, load.body, load.against), **_bias(float(np.squeeze(torque)), -k, -d)}
 
 
-def _damper(model: _Model, load: SlideDamper, tendons: ElementTree.Element, world: ElementTree.Element) -> Attributes:
+def _damper(model: _Model, load: SlideDamper) -> Attributes:
     return {"joint": load.guide, **_bias(0.0, 0.0, -float(load.damping))}
 
 
-ACTUATORS: Mapping[type[Load], Callable[[_Model, Any, ElementTree.Element, ElementTree.Element], Attributes]] = {
+ACTUATORS: Mapping[type[Load], Callable[[_Model, Any], Attributes]] = {
     Force: _force,
     Torque: _torque,
     Spring: _spring,
@@ -357,8 +360,7 @@ def _bias(constant: float, of_length: float = 0.0, of_rate: float = 0.0) -> Attr
 
 
 def _complex(vector: Any) -> complex:
-    x, y = (float(np.squeeze(part)) for part in vector)
-    return complex(x, y)
+    return complex(*plain(vector))
 
 
 def _vector(at: complex) -> str:

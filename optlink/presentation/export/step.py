@@ -13,7 +13,7 @@ from optlink.errors import InputError, extra_remedy
 from optlink.linkage.vector2d import Array
 from optlink.presentation.export.dxf import Vertex
 from optlink.presentation.parts.model import FlatPart, Pin
-from optlink.presentation.parts.outline import middle
+from optlink.presentation.parts.outline import edges, middle
 from optlink.presentation.parts.solids import profile
 
 try:
@@ -85,8 +85,8 @@ def _body(name: str, shape: TopoDS_Shape) -> Body:
 def _wire(outline: Sequence[Vertex]) -> TopoDS_Wire:
     """Return an outline as straight edges and arcs of circles; two half arcs are a circle."""
     wire = BRepBuilderAPI_MakeWire()
-    kept = [one for one, other in zip(outline, (*outline[1:], outline[0]), strict=True) if math.dist(one[:2], other[:2]) > NEAR]
-    for (x, y, bulge), (u, v, _) in zip(kept, (*kept[1:], kept[0]), strict=True):
+    kept = [one for one, other in edges(outline) if math.dist(one[:2], other[:2]) > NEAR]
+    for (x, y, bulge), (u, v, _) in edges(kept):
         begin, end = gp_Pnt(x, y, 0.0), gp_Pnt(u, v, 0.0)
         if bulge == 0.0:
             wire.Add(BRepBuilderAPI_MakeEdge(begin, end).Edge())

@@ -92,6 +92,21 @@ def _legend_room(panel: Panel) -> float:
     return ROW * math.ceil(len(names) / columns) + 0.5 * ROW
 
 
+def _marker(part: Curve | Mark) -> dict[str, Any]:
+    """Return the look of the symbols of a curve, or of a mark."""
+    size, symbol = round(PIXELS_PER_POINT * part.size, 1), SYMBOLS[part.symbol][1]
+    return {"color": part.colour, "size": size, "symbol": symbol}
+
+
+def _colour_bar(name: str) -> dict[str, Any]:
+    return {"title": {"text": escape(name), "side": "right"}, "thickness": 16}
+
+
+def _lines(text: str) -> str:
+    """Return a text of several lines for HTML."""
+    return escape(text).replace("\n", "<br>")
+
+
 def escape(text: str) -> str:
     """Write a text with the signs of units, safe for plotly."""
     return escaped(pretty(text))
@@ -147,7 +162,7 @@ def _selected_marker(picks: Picks, colour: str) -> Trace:
 def _axis(axis: Axis, reach: tuple[float, float] | None = None) -> dict[str, Any]:
     """Return an axis; `reach` are the ends of what is shown without limits."""
     name = axis.name if reach is not None else axis.name.replace("\n", " ")
-    layout: dict[str, Any] = AXIS | {"title": {"text": escape(name).replace("\n", "<br>"), "font": {"size": 13}, "standoff": 8}}
+    layout: dict[str, Any] = AXIS | {"title": {"text": _lines(name), "font": {"size": 13}, "standoff": 8}}
     if axis.scale == "log":
         layout |= {"type": "log", "exponentformat": "power"} | ({"dtick": 1} if axis.limits is None else {})
     if axis.limits is not None:
@@ -159,7 +174,7 @@ def _axis(axis: Axis, reach: tuple[float, float] | None = None) -> dict[str, Any
         layout |= {
             "tickmode": "array",
             "tickvals": [at for at, _ in axis.ticks],
-            "ticktext": [escape(text).replace("\n", "<br>") for _, text in axis.ticks],
+            "ticktext": [_lines(text) for _, text in axis.ticks],
         }
     elif axis.step and (reach := axis.limits or reach) is not None and reach[1] - reach[0] >= 3.0 * axis.step:
         layout |= {"dtick": axis.step}
@@ -256,16 +271,11 @@ def _curve(trace: Curve) -> Trace:
             "simplify": False,
         }
     if "markers" in trace.mode:
-        data["marker"] = {
-            "color": trace.colour,
-            "size": round(PIXELS_PER_POINT * trace.size, 1),
-            "symbol": SYMBOLS[trace.symbol][1],
-        }
+        data["marker"] = _marker(trace)
         if trace.symbol in ("open circle", "plus"):
             data["marker"]["line"] = {"width": 1.7, "color": trace.colour}
     if trace.shade is not None:
-        bar = {"title": {"text": escape(trace.shade_name), "side": "right"}, "thickness": 16}
-        data["marker"] |= {"color": short(trace.shade), "colorscale": "Viridis", "colorbar": bar}
+        data["marker"] |= {"color": short(trace.shade), "colorscale": "Viridis", "colorbar": _colour_bar(trace.shade_name)}
     if trace.opacity != 1.0:
         data["opacity"] = trace.opacity
     if trace.text:
@@ -303,7 +313,7 @@ def _heat_map(spec: ChartSpec, panel: Panel, trace: HeatMap) -> Trace:
     rows, columns = (slice(None, None, max(1, -(-size // MAX_CELLS))) for size in trace.z.shape)
     data: Trace = {"type": "heatmap", "name": escape(trace.name), "x": short(trace.x[columns]), "y": short(trace.y[rows])}
     data |= {"z": [short(row) for row in trace.z[rows, columns]], "colorscale": "Viridis", "hovertemplate": template}
-    data["colorbar"] = {"title": {"text": escape(trace.name), "side": "right"}, "thickness": 16}
+    data["colorbar"] = _colour_bar(trace.name)
     if trace.limits is not None:
         data |= {"zmin": trace.limits[0], "zmax": trace.limits[1]}
     return data | ({"customdata": [list(row)[columns] for row in trace.picks[rows]]} if trace.picks else {})
@@ -331,17 +341,13 @@ def _marks(spec: ChartSpec, panel: Panel) -> list[Trace]:
     traces = []
     for group in groups.values():
         first = group[0]
-        look: dict[str, Any] = {
-            "color": first.colour,
-            "size": round(PIXELS_PER_POINT * first.size, 1),
-            "symbol": SYMBOLS[first.symbol][1],
-        }
+        look = _marker(first)
         if any(mark.angle for mark in group):
             look["angle"] = [-mark.angle for mark in group]
         mode = "markers+text" if first.written else "markers"
         data: Trace = {"type": "scatter", "mode": mode, "name": "", "showlegend": False, "marker": look}
         data |= {"x": [mark.x for mark in group], "y": [mark.y for mark in group]}
-        data |= {"text": [escape(mark.text).replace("\n", "<br>") for mark in group], "hovertemplate": "%{text}<extra></extra>"}
+        data |= {"text": [_lines(mark.text) for mark in group], "hovertemplate": "%{text}<extra></extra>"}
         if first.written:
             ups = [mark.prefer[1] or middle[1] - mark.y for mark in group]  # sideways inwards, so that no label leaves the chart
             sides = [

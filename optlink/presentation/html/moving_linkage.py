@@ -83,8 +83,7 @@ class Moving:
     @property
     def flat(self) -> bool:
         """Whether the quantities are shown below the drawing."""
-        _, _, width, height = self.scene.box
-        return height < STACKED_RATIO * width
+        return self.scene.ratio < STACKED_RATIO
 
     @property
     def stills(self) -> list[tuple[str, str]]:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from optlink.dynamics.machine import Machine
-from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import Array
 from optlink.presentation.chart_mpl import paper
 from optlink.presentation.chart_spec import ChartSpec, Curve, Panel
@@ -158,7 +157,7 @@ def in_time(
         return None
     if freed is None:
         return moving_linkage.in_time(cycle, scene_at(cycle, at), time, shown)
-    motion = sweep(freed.mechanism, freed.sizes, at, cycle.speed)
+    motion = freed.motion(at, cycle.speed)
     return moving_linkage.in_time(cycle, Scene(motion, cycle.machine, unit=MM), time, shown)
 
 

@@ -54,8 +54,9 @@ class Stack:
     def __init__(self, parts: PartSet) -> None:
         self.parts, self.motion = parts, parts.motion
         self.links = [name for name in parts.parts if name != FRAME]
-        self.cores = {name: placed(self.motion, name, convex(part)) for name, part in parts.parts.items()}
+        cores = {name: placed(self.motion, name, convex(part)) for name, part in parts.parts.items()}
         self.places = {pin.name: placed(self.motion, pin.on, pin.at[None]) for pin in parts.pins}
+        self.cores = {**cores, **self.places}
         self.gaps: dict[tuple[str, str], Gap] = {}
         self.worst: Collision | None = None  # that remains, if there are no layers
         self.slack = CLEARANCE * min(one.diameter for part in parts.parts.values() for one in part.openings)
@@ -147,10 +148,7 @@ class Stack:
     def _gap(self, one: str, other: str) -> Gap:
         """Return the least distance of two cores over the motion: a pin is the point at its axis."""
         if (one, other) not in self.gaps:
-            first, second = (self.places.get(name, self.cores.get(name)) for name in (one, other))
-            assert first is not None
-            assert second is not None
-            away = np.nan_to_num(distance(first, second), nan=math.inf)
+            away = np.nan_to_num(distance(self.cores[one], self.cores[other]), nan=math.inf)
             k = int(np.argmin(away))
             self.gaps[one, other] = Gap(float(away[k]), float(np.asarray(self.motion.crank_angle)[k]))
         return self.gaps[one, other]

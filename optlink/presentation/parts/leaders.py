@@ -13,6 +13,7 @@ import numpy as np
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.parts.solids import polygon
 from optlink.presentation.parts.view import GAP, TEXT, Item, Line, Measure, Words, arrow, box, segment, width
+from optlink.presentation.shapes import cross
 
 CHORDS = 24  # of a circle that a leader may cross
 DIRECTIONS = np.radians([15.0, 30.0, 45.0, 60.0, 75.0])  # of leaders, in each quadrant
@@ -71,7 +72,7 @@ def _placed(label: Label, items: Sequence[Item], outline: Line, openings: Sequen
     corners = polygon(outline.vertices, chords=CHORDS)
     sides_of = np.roll(corners, -1, axis=0) - corners
     away = middles[:, None] - corners
-    costs += WITHIN * np.all(sides_of[:, 0] * away[..., 1] - sides_of[:, 1] * away[..., 0] > 0.0, axis=1)
+    costs += WITHIN * np.all(cross(sides_of, away) > 0.0, axis=1)
     k = int(np.argmin(costs))
     text = Words(label.text, shelf[k] + sides[k] * np.array([GAP, 0.0]), align="left" if sides[k] > 0.0 else "right")
     return [segment(tips[k], starts[k], shelf[k]), arrow(tips[k], ways[k]), text]
@@ -113,7 +114,7 @@ def crossings(begin: Array, end: Array, pieces: Array) -> Array:
     first, last = pieces[:, 0], pieces[:, 1]
 
     def sides(a: Array, b: Array, c: Array) -> Array:
-        return np.asarray((b - a)[..., 0] * (c - a)[..., 1] - (b - a)[..., 1] * (c - a)[..., 0])
+        return cross(b - a, c - a)
 
     p, q = begin[:, None], end[:, None]
     return np.asarray((sides(p, q, first) * sides(p, q, last) <= 0.0) & (sides(first, last, p) * sides(first, last, q) <= 0.0))
@@ -124,7 +125,7 @@ def _overlaps(middles: Array, half: Array, pieces: Array) -> Array:
     centre, arm = 0.5 * pieces.sum(axis=1), 0.5 * (pieces[:, 1] - pieces[:, 0])
     away = middles[:, None] - centre
     apart = np.any(np.abs(away) > half + np.abs(arm), axis=2)
-    across = np.abs(away[..., 0] * arm[:, 1] - away[..., 1] * arm[:, 0])
+    across = np.abs(cross(away, arm))
     return np.asarray(~(apart | (across > np.abs(arm[:, ::-1]) @ half)))
 
 

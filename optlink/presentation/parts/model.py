@@ -14,12 +14,13 @@ import numpy as np
 
 from optlink.errors import InputError
 from optlink.linkage.mechanism import FRAME, Arm, Guide, Mechanism
-from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.export.dxf import HOLE, MAX_HOLE_SHARE, WIDTH, Vertex, nearest_holes, rounded, travelled, usual_hole
 from optlink.presentation.format import round_below
 from optlink.presentation.parts.outline import ENDS
 from optlink.presentation.scene import named_points, scene
+from optlink.presentation.shapes import cross, plain
 from optlink.problem.machine.parts import End
 from optlink.problem.quantity import Quantity
 from optlink.tasks.analyze import Analysis
@@ -152,25 +153,25 @@ class _Maker:
 
     def __init__(self, cycle: Analysis, hole: float | None, width: float | None) -> None:
         self.cycle, self.file, self.section = cycle, cycle.problem.file, cycle.problem.model.made
-        mechanism, sizes = cycle.machine.mechanism, cycle.machine.sizes
-        self.mechanism: Mechanism = mechanism
+        self.mechanism: Mechanism = cycle.machine.mechanism
         direction = math.copysign(1.0, cycle.speed)
         first, last = float(cycle.positions[0]), float(cycle.positions[-1])
         last = first + direction * cycle.cycle if cycle.full else last
         count = max(2, math.ceil(abs(last - first) / TURN * STEPS)) + 1
-        self.motion = sweep(mechanism, sizes, np.linspace(first, last, count))
+        self.motion = cycle.machine.motion(np.linspace(first, last, count))
         self.points = {
-            body: {name: MM * at for name, at in named_points(self.motion, body).items()} for body in (FRAME, *mechanism.bodies)
+            body: {name: MM * at for name, at in named_points(self.motion, body).items()}
+            for body in (FRAME, *self.mechanism.bodies)
         }
         drawn = scene(cycle)
-        for body in (*mechanism.cylinders, *mechanism.rods):
+        for body in (*self.mechanism.cylinders, *self.mechanism.rods):
             message = f"{body} is a cylinder, a part to buy: parts of linkages with cylinders are not supported"
             raise InputError(message, "Export the drawing: leave --content out, and write a .dxf file", self.file)
         for body, profiles in drawn.profiles.items():
             message = f"{body} has the profile of a cam, gear or pulley, which is not supported as a part"
             if profiles:
                 raise InputError(message, "Export the drawing: leave --content out, and write a .dxf file", self.file)
-        least = nearest_holes(mechanism, self.motion)[1]
+        least = nearest_holes(self.mechanism, self.motion)[1]
         extent = min(max(drawn.box[2:]), MAX_HOLE_SHARE * least / HOLE)
         self.hole = self._size(self.section.hole, usual_hole(extent), hole)
         self.width = self._size(self.section.width, WIDTH * self.hole, width)
@@ -264,7 +265,7 @@ class _Maker:
     def _slot(self, name: str, guide: Guide, body: str) -> Opening:
         """Return the slot in one body of a guide, in which the pin of the other one, or its two pins, run."""
         low, high = travelled(self.cycle, guide)
-        point, direction = (np.array([float(part) for part in one]) for one in self.motion.pose.local_line(guide, body))
+        point, direction = map(plain, self.motion.pose.local_line(guide, body))
         slides = np.asarray(self.motion.slide(guide.name).value)
         k = int(np.flatnonzero(np.isfinite(slides))[0])
         way, beyond = direction if body == guide.on else -direction, self.overtravel
@@ -277,7 +278,7 @@ class _Maker:
 
     def _ends(self, guide: Guide) -> Array:
         """Return the places (2, 2) of the two pins of a sliding body."""
-        point, direction = (np.array([float(part) for part in one]) for one in self.motion.pose.local_line(guide, guide.slider))
+        point, direction = map(plain, self.motion.pose.local_line(guide, guide.slider))
         return np.asarray(MM * point + np.array([[-1.0], [1.0]]) * self._width(guide.slider) * direction)
 
     def _width(self, body: str) -> float:
@@ -369,14 +370,10 @@ def distance(first: Array, second: Array) -> Array:
             share = np.clip(np.sum(along * away, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-30), 0.0, 1.0)
             least = np.minimum(least, np.linalg.norm(away - share[:, None] * along, axis=1))
         if len(edges) > 2:  # a corner of the other one inside
-            sides = np.array([_cross(end - begin, other[:, 0] - begin) for begin, end in edges])
+            sides = np.array([cross(end - begin, other[:, 0] - begin) for begin, end in edges])
             least = np.where(np.all(sides >= 0.0, axis=0), 0.0, least)
         for (a, b), k in itertools.product(edges, range(other.shape[1])):
             c, d = other[:, k], other[:, (k + 1) % other.shape[1]]
-            across = (_cross(b - a, c - a) * _cross(b - a, d - a) < 0.0) & (_cross(d - c, a - c) * _cross(d - c, b - c) < 0.0)
+            across = (cross(b - a, c - a) * cross(b - a, d - a) < 0.0) & (cross(d - c, a - c) * cross(d - c, b - c) < 0.0)
             least = np.where(across, 0.0, least)
     return least
-
-
-def _cross(first: Array, second: Array) -> Array:
-    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -10,12 +10,18 @@ from numpy.typing import ArrayLike
 
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.export.dxf import Vertex
+from optlink.presentation.shapes import ways
 from optlink.problem.machine.parts import End
 
 Outline = tuple[Vertex, ...]
 RIGHT, SHARP = 0.25 * TURN, 0.125 * TURN  # most that a corner turns, and beyond which it is chamfered
 CHAMFER = 0.5  # leg of a chamfer, as a share of the edge from its corner to the arc: a quarter of the width of a bar
 NEAR = 1e-9  # angle [rad] by which a corner may turn more
+
+
+def edges(outline: Sequence[Vertex]) -> Iterable[tuple[Vertex, Vertex]]:
+    """Return the two ends of each edge of a closed outline."""
+    return itertools.pairwise((*outline, outline[0]))
 
 
 def middle(begin: ArrayLike, end: ArrayLike, bulge: float) -> Array:
@@ -30,13 +36,13 @@ def _straight(cut: float, outline: Outline) -> Outline:
     A share `cut` of both edges between a sharp corner and the arc is cut off.
     """
     corners: list[Array] = []
-    for (x, y, bulge), (u, v, _) in itertools.pairwise((*outline, outline[0])):
+    for (x, y, bulge), (u, v, _) in edges(outline):
         if not bulge:
             continue
         turned, centre = 4.0 * math.atan(bulge), middle((x, y), (u, v), bulge)
         count = math.ceil((turned - NEAR) / RIGHT)
         angles = turned * np.arange(2 * count + 1) / (2 * count)
-        turns = np.column_stack([np.cos(angles), np.sin(angles)])
+        turns = ways(angles)
         arm = np.array([x, y]) - centre
         touching = centre + np.column_stack([turns @ (arm * [1.0, -1.0]), turns @ arm[::-1]])
         for before, on, after in zip(touching[:-1:2], touching[1::2], touching[2::2], strict=True):

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.export.dxf import Vertex
 from optlink.presentation.parts.model import FlatPart, Pin
-from optlink.presentation.parts.outline import middle
+from optlink.presentation.parts.outline import edges, middle
+from optlink.presentation.shapes import cross, ways
 
 CHORDS = 360  # of a circle: its area differs by 5e-5
 TRIES = 12  # most directions in which an outline is triangulated
@@ -77,7 +78,7 @@ def profile(pin: Pin, low: float, high: float) -> list[tuple[float, float]]:
 def polygon(outline: Sequence[Vertex], around: bool = False, chords: int = CHORDS) -> Array:
     """Return corners (n, 2) of an outline with chords in place of its arcs, or with tangents around them."""
     corners: list[Array] = []
-    for (x, y, bulge), (u, v, _) in zip(outline, (*outline[1:], outline[0]), strict=True):
+    for (x, y, bulge), (u, v, _) in edges(outline):
         begin, end = np.array([x, y]), np.array([u, v])
         corners.append(begin)
         if bulge == 0.0:
@@ -87,7 +88,7 @@ def polygon(outline: Sequence[Vertex], around: bool = False, chords: int = CHORD
         count = max(1, math.ceil(turned / TURN * chords - 1e-9))
         angles = turned * (np.arange(count) + 0.5 if around else np.arange(1, count)) / count
         arm = (begin - centre) / (math.cos(0.5 * turned / count) if around else 1.0)
-        turns = np.column_stack([np.cos(angles), np.sin(angles)])
+        turns = ways(angles)
         corners += [*(centre + np.column_stack([turns @ (arm * [1.0, -1.0]), turns @ arm[::-1]]))]
     return np.array(corners)
 
@@ -111,5 +112,5 @@ def _triangles_turned(loops: Sequence[Array], angle: float) -> NDArray[np.intp]:
     found = mapbox_earcut_2d(turned[0].tolist(), [loop.tolist() for loop in turned[1:]])
     triangles = np.array([[numbers[corner.x, corner.y] for corner in corners] for corners in found], dtype=np.intp)
     a, b, c_ = (flat[triangles[:, k]] for k in range(3))
-    area = np.sum((b - a)[:, 0] * (c_ - a)[:, 1] - (b - a)[:, 1] * (c_ - a)[:, 0])
+    area = np.sum(cross(b - a, c_ - a))
     return triangles[:, ::-1] if area < 0.0 else triangles

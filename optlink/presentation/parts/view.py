@@ -13,17 +13,15 @@ from optlink.presentation.export.dxf import Vertex, rounded
 from optlink.presentation.parts.model import number
 from optlink.presentation.parts.solids import polygon
 from optlink.presentation.placement import arrange, beside, short_name
+from optlink.presentation.shapes import left_of
 
 TEXT, SMALL = 3.5, 2.5  # heights of letters
 ARROW = 3.0
 GAP = 1.0  # of a text to its line, of an extension line to its hole
-FIRST, ROW = 9.0, 7.5  # distance of the first dimension line from the outline, and of two dimension lines
+FIRST = 9.0  # distance of the first dimension line from the outline
 LETTER, WIDE_LETTER = 0.9, 1.6  # widths of letters in heights
-CROSS = 2.0  # of a centre line beyond its hole
 SAME = 1e-6  # distance of coincident lines
 REACHES = np.array([0.8, 2.5, 5.0, 8.0])  # distances of a name from its circle
-LYING = 1.4  # height of a part that lies on its side, in widths
-SLOPE, FAR = math.radians(60.0), 12.0  # slope of leaders, and how far they go to the side
 Style = Literal["outline", "thin", "centre", "solid"]
 
 
@@ -190,7 +188,7 @@ def segment(*points: Array) -> Line:
 
 def arrow(tip: Array, way: Array) -> Line:
     """Return a filled arrow head; `way` is the unit vector from its tip along its line."""
-    side = np.array([-way[1], way[0]]) * ARROW / 6.0
+    side = left_of(way) * ARROW / 6.0
     return replace(segment(tip, tip + ARROW * way + side, tip + ARROW * way - side), style="solid", closed=True)
 
 

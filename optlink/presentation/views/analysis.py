@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN
 from optlink.presentation.chart_spec import CRANK, TARGET, ChartSpec
 from optlink.presentation.drawing import Sketch, film, merged_positions, there_and_back
@@ -64,9 +63,9 @@ def mechanism(cycle: CycleCurves) -> Figure:
     """Draw the mechanism at its characteristic positions with joint traces, and the joint velocities at one of them."""
     result = cycle.result
     machine = result.machine
-    sketch = Sketch(sweep(machine.mechanism, machine.sizes, cycle.angles, result.speed), machine)
+    sketch = Sketch(machine.motion(cycle.angles, result.speed), machine)
     angles = positions(cycle)
-    motions = {name: sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed) for name, at in angles.items()}
+    motions = {name: machine.motion(np.array([at]), result.speed) for name, at in angles.items()}
     moving = [point for point, bodies in machine.mechanism.owners.items() if FRAME not in bodies]
     speeds = {name: max(np.linalg.norm(motion.velocity(point)[0]) for point in moving) for name, motion in motions.items()}
     # show velocities at the largest torque or, if some are unbounded, where they are smallest
@@ -107,12 +106,10 @@ def mechanism(cycle: CycleCurves) -> Figure:
 
 def _scale_arrow(axes: Axes, top: float, longest: float) -> None:
     """Draw the scale arrow of the velocities below the x axis; a velocity `top` [m/s] is drawn `longest` long."""
-    drawn = axes.get_figure()
-    assert drawn is not None
     unit = scale(top, "m/s")
     shown = round_below(0.6 * top * unit.factor, (1.0, 2.0, 5.0), 1e-12)
     (_, low), (right, _) = axes.get_window_extent().get_points()
-    x, y = axes.transData.inverted().transform((right, low - 27.0 / 72.0 * drawn.dpi))
+    x, y = axes.transData.inverted().transform((right, low - 27.0 / 72.0 * axes.figure.dpi))
     length = longest * shown / (top * unit.factor)
     _arrow(axes, np.array([x - length, y]), np.array([x, y]), gid="scale").set_clip_on(False)
     room = 0.015 * np.ptp(axes.get_xlim())
@@ -121,7 +118,7 @@ def _scale_arrow(axes: Axes, top: float, longest: float) -> None:
 
 def _arrow(axes: Axes, begin: NDArray[np.float64], end: NDArray[np.float64], gid: str) -> FancyArrowPatch:
     """Draw an arrow between two points (2,)."""
-    ends = (float(begin[0]), float(begin[1])), (float(end[0]), float(end[1]))
+    ends = (begin[0], begin[1]), (end[0], end[1])
     drawn = FancyArrowPatch(*ends, arrowstyle="-|>", mutation_scale=9.0, linewidth=1.4, color=TARGET, shrinkA=0.0, shrinkB=0.0)
     drawn.set(zorder=6, gid=gid)
     axes.add_patch(drawn)
@@ -154,7 +151,7 @@ def frames(cycle: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
     """
     result = cycle.result
     machine = result.machine
-    sketch = Sketch(sweep(machine.mechanism, machine.sizes, cycle.angles), machine)
+    sketch = Sketch(machine.motion(cycle.angles), machine)
     once = cycle.start + cycle.direction * result.cycle * np.arange(count) / count
     steps = once if result.full else there_and_back(cycle.start, cycle.end, count)
     out = output(cycle)
@@ -165,7 +162,7 @@ def frames(cycle: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
     traces = analysis_charts.curves(cycle, name, unit, "", CRANK)
     strip = analysis_charts.chart(cycle, "", "", [analysis_charts.panel(cycle, f"{word} [{unit.unit}]", traces)])
     marks = np.array([[cycle.driving.shown(at), cycle.at(at, name) * unit.factor] for at in steps])
-    return film(sketch, sweep(machine.mechanism, machine.sizes, steps), strip, marks, [result.problem.model.title])
+    return film(sketch, machine.motion(steps), strip, marks, [result.problem.model.title])
 
 
 VIEW = View(

@@ -39,6 +39,8 @@ from optlink.presentation.chart_spec import (
     max_abs,
 )
 from optlink.presentation.format import Scale, position, round_below, scale
+from optlink.presentation.scene import colours_of
+from optlink.presentation.shapes import finite_range, normed, pieces
 from optlink.problem.terms import BACK
 from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.extremes import Extreme
@@ -62,7 +64,7 @@ class CycleCurves:
         self.direction = 1.0 if result.speed > 0.0 else -1.0
         table = result.positions
         self.start = float(table[0])
-        self.end = self.start + self.direction * result.cycle if result.full else float(table[-1])
+        self.end = self.start + self.direction * result.cycle if result.full else table[-1]
         low, high = sorted((self.start, self.end))
         marks = [self.inside(at) for extreme in result.extremes.values() for at in (extreme.least_at, extreme.largest_at)]
         grid = np.concatenate([np.linspace(low, high, POINTS + 1), table if len(table) <= MAX_TABLE_ROWS else [], marks])
@@ -111,12 +113,9 @@ class CycleCurves:
 
         At singular positions or ends of the crank range, where values grow without bound, outliers are cut off.
         """
-        finite_values = values[np.isfinite(values)]
-        if finite_values.size == 0:
-            return 0.0, 0.0
-        low, high = float(finite_values.min()), float(finite_values.max())
-        if not self.steady:
-            first, last = (float(end) for end in np.percentile(finite_values, [8.0, 92.0]))
+        low, high = finite_range(values)
+        if low < high and not self.steady:
+            first, last = (float(end) for end in np.percentile(values[np.isfinite(values)], [8.0, 92.0]))
             if 0.0 < last - first < (high - low) / 8.0:
                 low, high = max(low, 2.0 * first - last), min(high, 2.0 * last - first)
         return low, high
@@ -334,30 +333,38 @@ def motion(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Chart
     for out in shown:
         words = ("displacement s", "velocity", "acceleration") if out.slides else ("angle θ", "angular velocity", "acceleration")
         panels = []
-        for k, (name, unit, word, floor) in enumerate(
-            list(zip(out.columns, out.scales(cycle, shown), words, out.floors(cycle), strict=True))[
-                : 1 if cycle.result.static else 3
-            ]
-        ):
-            traces = curves(cycle, name, unit, "", (RESULT, BODIES[1], CRANK)[k], initial=initial)
+        colours = (RESULT, BODIES[1], CRANK)[: 1 if cycle.result.static else 3]
+        rows = zip(colours, out.columns, out.scales(cycle, shown), words, out.floors(cycle), strict=False)
+        for colour, name, unit, word, floor in rows:
+            traces = curves(cycle, name, unit, "", colour, initial=initial)
             limits = _limits(cycle, out) if name.endswith(".angle_rad") else cycle.result.extremes.get(name)
             marks = extremes(cycle, name, unit, TARGET, limits) if limits and limits.largest - limits.least > 2.0 * floor else []
             word = f"angular {word}" if word == "acceleration" and not out.slides else word
             panels.append(panel(cycle, f"{word} [{unit.unit}]", traces, 1.0, marks, least=4.0 * floor * unit.factor))
         lines, spans = _strokes(cycle, out.travel)
-        width, heading, caption = 7.6 if len(shown) == 1 else 5.6, machine_title(cycle, "motion"), _stroke_text(cycle, out)
-        title = f"Motion of {out.name}"
-        options: dict[str, Any] = {"heading": heading, "remark": caption, "spans": spans, "width": width}
-        charts.append(chart(cycle, "motion", title, panels, lines=lines, brief=out.name == main, **options))
+        charts.append(
+            chart(
+                cycle,
+                "motion",
+                f"Motion of {out.name}",
+                panels,
+                lines=lines,
+                heading=machine_title(cycle, "motion"),
+                remark=_stroke_text(cycle, out),
+                spans=spans,
+                width=7.6 if len(shown) == 1 else 5.6,
+                brief=out.name == main,
+            )
+        )
     return charts
 
 
 def bodies(cycle: CycleCurves) -> list[ChartSpec]:
     """Return angular velocity and acceleration of the bodies that turn at a variable speed, with their extremes."""
     mechanism, turning = cycle.result.machine.mechanism, abs(cycle.result.speed)
-    others = [body for body in mechanism.bodies if body != mechanism.crank.body]
-    colours = {f"{body}.omega_rad_s": BODIES[k % len(BODIES)] for k, body in enumerate(others)}  # those of mechanism.png
-    names = {body: f"{body}.omega_rad_s" for body in others}
+    bodies = colours_of(mechanism)
+    colours = {f"{body}.omega_rad_s": colour for body, colour in bodies.items()}
+    names = {body: f"{body}.omega_rad_s" for body in bodies if body != mechanism.crank.body}
     windows = {body: cycle.window(cycle[name]) for body, name in names.items()}
     variable = {body: names[body] for body, (low, high) in windows.items() if high - low > 1e-8 * turning}
     shown = dict(list(together(cycle.columns, variable).items())[:MAX_BODIES])
@@ -551,8 +558,8 @@ def hodograph(
     for shown in np.arange(math.ceil(low / step - 1e-9) * step, high - (1e-6 if cycle.result.full else -1e-9), step):
         at = np.array([cycle.at(cycle.driving.at(shown), name) * unit.factor for name in (x, y)])
         if np.all(np.isfinite(at)):
-            outward = (at - middle) / max(float(np.linalg.norm(at - middle)), 1e-30)
-            prefer = (float(outward[0]), float(outward[1]))
+            outward = normed(at - middle)
+            prefer = (outward[0], outward[1])
             text = f"{shown % 360.0:z.0f}°" if cycle.driving.ends is None else f"{shown:.6g} mm"
             marks.append(Mark(at[0], at[1], text, RESULT, size=4.0, prefer=prefer, written=True))
     marks += _sense(xs, ys, [(mark.x, mark.y) for mark in marks])
@@ -572,8 +579,7 @@ def _window(cycle: CycleCurves, xs: Array, ys: Array) -> list[tuple[float, float
 
 def _sense(xs: Array, ys: Array, occupied: Sequence[tuple[float, float]]) -> list[Mark]:
     """Return an arrow head on the longest piece of a curve, away from the places of other marks."""
-    pieces = [np.stack([xs, ys], axis=-1)[piece] for piece in np.split(np.arange(len(xs)), np.flatnonzero(~np.isfinite(xs + ys)))]
-    paths = [piece[np.isfinite(piece).all(axis=1)] for piece in pieces]
+    paths = [*pieces(np.stack([xs, ys], axis=-1))] or [np.zeros((1, 2))]
     lengths = [np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)) if len(path) > 1 else np.zeros(1) for path in paths]
     k = int(np.argmax([length[-1] for length in lengths]))
     if lengths[k][-1] <= 0.0:
@@ -687,4 +693,4 @@ def _largest_shaking(cycle: CycleCurves) -> tuple[float, float, float]:
     grid = np.unique(cycle.angles)
     place, _ = extrema.maxima(lambda angles: np.hypot(*force(angles))[None, :], grid)
     fx, fy = force(place)
-    return float(fx[0]), float(fy[0]), float(place[0])
+    return fx[0], fy[0], place[0]

@@ -12,7 +12,6 @@ from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, named_travels, travels_by_use, use_of, working_stroke
 from optlink.linkage.elements import Drive, disc_cams
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import Travel, within_cycle
 from optlink.linkage.vector2d import TURN
 from optlink.presentation.format import dimension, fixed, number
@@ -175,7 +174,7 @@ def analysis(outcome: Analysis) -> Summary:
 
 def _cams(outcome: Analysis) -> Iterator[TableSpec]:
     """Tabulate base radius, lift, pressure angle and curvature of every disc cam, at angles of its law."""
-    pose = sweep(outcome.machine.mechanism, outcome.machine.sizes, outcome.positions[:1]).pose
+    pose = outcome.machine.motion(outcome.positions[:1]).pose
     for cam, disc in disc_cams(pose).items():
         lift, pressure, (radius, sharp), undercut = disc.figures
         phase = float(pose.size(cam.phase))
@@ -353,7 +352,7 @@ def simulation(outcome: Simulation) -> Summary:
     account = [("work of the drive" if name == "input" else f"work of {name}", number(work), "J") for name, work in works.items()]
     share = figures["imbalance_J"] / figures["turnover_J"] if figures["turnover_J"] > 0.0 else 0.0
     account += [
-        ("gain of kinetic and potential energy", number(float(outcome["energy.gained_J"][-1])), "J"),
+        ("gain of kinetic and potential energy", number(outcome["energy.gained_J"][-1]), "J"),
         ("largest imbalance during the run", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest amount"),
     ]
     drift = f"{figures['drift_m']:.1e} m, {figures['drift_rad']:.1e} rad"

@@ -32,6 +32,8 @@ from optlink.presentation.chart_spec import (
     max_abs,
 )
 from optlink.presentation.format import change, figure, fixed, joined, number, position, scale, shown, times
+from optlink.presentation.scene import colours_of
+from optlink.presentation.shapes import normed
 from optlink.presentation.table_spec import (
     Inline,
     Paragraph,
@@ -52,7 +54,7 @@ from optlink.presentation.views.search_tables import objective_line, short_text
 from optlink.problem.file import ProblemFile, fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.terms import Term
-from optlink.tasks.results.balance import Balance, TradeOff, column_of
+from optlink.tasks.results.balance import Balance, TradeOff, TradePoint, column_of
 from optlink.units import count_noun, percent
 
 if TYPE_CHECKING:
@@ -109,7 +111,7 @@ def before_after(result: Balance) -> list[ChartSpec]:
     angles = np.append(x, closing)
     driving = result.problem.model.driving
     places = driving.shown(np.radians(angles))
-    axis = drive_axis(driving, limits=(float(np.min(places)), float(np.max(places))))
+    axis = drive_axis(driving, limits=(np.min(places), np.max(places)))
     heading = f"{result.problem.model.title}: least {result.measure}"
     specs = []
     for row, (title, group, file) in enumerate(groups):
@@ -158,15 +160,15 @@ def hodograph(result: Balance) -> ChartSpec:
         most, drawn = np.max(np.linalg.norm(path, axis=1)), path * unit.factor
         closed, middle = np.concatenate([drawn, drawn[:1]]), np.mean(drawn, axis=0)
         recorded = f"{name}: at most {unit.text(most) if most > 1e-12 * largest else '0'}"
-        curves.append(Curve(closed[:, 0], closed[:, 1], recorded, colour, width, gid=f"hodograph {name}"))
+        curves.append(Curve.through(closed, recorded, colour, width, gid=f"hodograph {name}"))
         if most < 0.02 * largest:  # degenerates to a point: no crank angles to mark
             marks.append(Mark(middle[0], middle[1], "", colour, size=6.0))
             continue
         marked = np.radians(range(0, 360, 60)) if limits is None else np.linspace(*limits, 5)
         for at in marked:
             k = int(np.argmin(np.abs(np.mod(result.angles - at + np.pi, 2.0 * np.pi) - np.pi)))
-            x, y = (drawn[k] - middle) / max(float(np.linalg.norm(drawn[k] - middle)), 1e-30)
-            mark = partial(Mark, float(drawn[k, 0]), float(drawn[k, 1]), size=4.0, written=True)
+            x, y = normed(drawn[k] - middle)
+            mark = partial(Mark, drawn[k, 0], drawn[k, 1], size=4.0, written=True)
             text = f"{math.degrees(at):.4g}°" if driving.ends is None else position(driving, at)
             marks.append(mark(text, colour, prefer=(float(x), float(y))))
     x_axis, y_axis = (Axis(f"shaking force in {axis} [{unit.unit}]") for axis in "xy")
@@ -189,11 +191,11 @@ def trade_off(result: Balance) -> list[ChartSpec]:
     bound = np.array([[p.first, p.second] for p in trade.points]) * factors
     real, initial = np.array([p.realised for p in trade.points]) * factors, np.array(trade.before) * factors
     below = Band(bound[:, 0], np.full(len(bound), np.min(bound[:, 1])), bound[:, 1], "", "#888888", 0.14, gid="out of reach")
-    designs = partial(Curve, mode="markers", size=4.0, picks=range(len(real)), gid="realised")
+    designs = partial(Curve.through, mode="markers", size=4.0, picks=range(len(real)), gid="realised")
     curves: list[Curve | Band] = [
         below,
-        Curve(bound[:, 0], bound[:, 1], "lower bound", RESULT, 1.8, gid="bound"),
-        designs(real[:, 0], real[:, 1], "designs, by inverse dynamics", RESULT),
+        Curve.through(bound, "lower bound", RESULT, 1.8, gid="bound"),
+        designs(real, "designs, by inverse dynamics", RESULT),
         Curve(initial[:1], initial[1:], "initial machine", TARGET, mode="markers", symbol="square", size=6.5, gid="initial"),
     ]
     names = {0: f"least {trade.first.subject}", len(trade.points) - 1: f"least {trade.second.subject}"}
@@ -201,13 +203,11 @@ def trade_off(result: Balance) -> list[ChartSpec]:
         names[trade.knee] = "knee"
     marks = [Mark(initial[0], initial[1], "initial machine", TARGET, "square", 6.5, font=9.0)]
     for k, name in names.items():
-        shares = (change(value / before - 1.0) for value, before in zip(trade.points[k].realised, trade.before, strict=True))
+        shares = _compared(trade, trade.points[k])[1::2]
         text = f"{name}\n{', '.join(f'{_short(m)} {share}' for m, share in zip(objectives, shares, strict=True))}"
         marks.append(Mark(real[k, 0], real[k, 1], text, LIMIT, size=7.0, prefer=(0.7, 0.7), gid=name))
     panels = [Panel(Axis(f"{trade.second.words} [{units[1].unit}]"), curves, 2.0, marks=marks)]
-    crank = result.original.mechanism.crank.body
-    bodies = [body for body in result.original.mechanism.bodies if body != crank]
-    colours = {crank: CRANK} | {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)}
+    colours = colours_of(result.original.mechanism)
     masses = {body: [p.masses.get(body, 0.0) for p in trade.points] for point in trade.points for body in point.masses}
     if masses:
         mass = partial(Curve, real[:, 0], width=1.3, mode="lines+markers", size=3.0)
@@ -225,6 +225,12 @@ def _short(term: Term) -> str:
     return term.of or term.quantity.split(" ")[-1]
 
 
+def _compared(trade: TradeOff, point: TradePoint) -> list[str]:
+    """Return both terms at a point, each with its change from the initial machine."""
+    pairs = zip(point.realised, trade.before, strict=True)
+    return [text for value, before in pairs for text in (number(value), change(value / before - 1.0))]
+
+
 def _picks(trade: TradeOff, places: Array) -> Picks:
     """Return the designs of a trade-off with their measures and counterweights."""
     bodies = sorted({body for point in trade.points for body in point.masses})
@@ -235,9 +241,12 @@ def _picks(trade: TradeOff, places: Array) -> Picks:
     ]
     rows = []
     for point in trade.points:
-        shares = [change(value / before - 1.0) for value, before in zip(point.realised, trade.before, strict=True)]
-        recorded = [number(point.realised[0]), shares[0], number(point.realised[1]), shares[1]]
-        rows.append((*recorded, *(f"{number(point.masses[body])} kg" if body in point.masses else "none" for body in bodies)))
+        rows.append(
+            (
+                *_compared(trade, point),
+                *(f"{number(point.masses[body])} kg" if body in point.masses else "none" for body in bodies),
+            )
+        )
     what = (*names, *(f"counterweight on {body}" for body in bodies))
     return Picks("point", what, tuple(rows), places[:, 0], places[:, 1], trade.knee or 0)
 
@@ -431,9 +440,8 @@ def _trade(trade: TradeOff) -> TableSpec:
         mark = ends.get(k, "knee" if k == trade.knee else "")
         if k % step and not mark:
             continue
-        shares = [change(value / before - 1.0) for value, before in zip(point.realised, trade.before, strict=True)]
         price = f"{point.rate:.3g}" if math.isfinite(point.rate) else ""
-        rows.append((mark, number(point.realised[0]), shares[0], number(point.realised[1]), shares[1], price, f"{point.gap:.0e}"))
+        rows.append((mark, *_compared(trade, point), price, f"{point.gap:.0e}"))
     heads = [f">{term.words} {unit_of(term)}" for term in (first, second)]
     return table(title, ["", heads[0], ">", heads[1], ">", ">price", ">gap"], rows)
 
@@ -456,7 +464,7 @@ def conclusion(result: Balance) -> str:
 VIEW = View(
     overview,
     charts=charts,
-    drawings={"mechanism": SomeDrawing(lambda result: result.heavier is not None, _mechanism)},
+    drawings={"mechanism": SomeDrawing(lambda result: result.heavier and result, _mechanism)},
     tables=_tables,
     design=_design,
     page=page,

@@ -8,7 +8,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.drawing import Sketch
 from optlink.presentation.format import scale
@@ -22,20 +22,20 @@ def mechanism(result: Balance) -> Figure:
     """Draw the machine with its counterweights to scale: discs solid, other shapes dashed with their radius of gyration."""
     machine = result.heavier
     assert machine is not None
-    sketch = Sketch(sweep(machine.mechanism, machine.sizes, result.angles, result.speed), machine)
+    sketch = Sketch(machine.motion(result.angles, result.speed), machine)
     for counterweight in result.added:
         corners = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * _size(counterweight, sketch)
         sketch.widen((_centres(counterweight, sketch, sketch.motion)[:, None, :] + corners).reshape(-1, 2))
     start = result.problem.model.driving.first
     turn = math.copysign(TURN, result.speed)
     full = len(result.angles) == (result.problem.model.balance.positions if result.problem.model.balance else 0)
-    places = [start, start + 0.5 * turn] if full else [float(result.angles[0]), float(result.angles[-1])]
+    places = [start, start + 0.5 * turn] if full else [result.angles[0], result.angles[-1]]
     panel = 5.2
     fig = figure(2.0 * panel, (panel - 0.7) * min(max(sketch.ratio, 0.35), 1.4) + 1.4)
     labels: list[Label] = []
     shown = []
     for axes, at in zip(fig.subplots(1, 2, sharey=True), places, strict=True):
-        position = sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed)
+        position = machine.motion(np.array([at]), result.speed)
         labels += sketch.show(axes, position)
         for counterweight in result.added:
             centre, body = _centres(counterweight, sketch, position)[0], counterweight.body
@@ -66,7 +66,7 @@ def _size(counterweight: AddedCounterweight, sketch: Sketch) -> float:
 def _disc(axes: Axes, sketch: Sketch, counterweight: AddedCounterweight, centre: Array) -> None:
     """Draw a counterweight."""
     colour, disc = sketch.colours[counterweight.body], counterweight.radius is not None
-    face, place = (*to_rgb(colour), 0.30 if disc else 0.10), (float(centre[0]), float(centre[1]))
+    face, place = (*to_rgb(colour), 0.30 if disc else 0.10), (centre[0], centre[1])
     shape = Circle(place, _size(counterweight, sketch), facecolor=face, edgecolor=colour)
     shape.set(linewidth=1.6, linestyle="-" if disc else "--", zorder=2.5, gid=f"counterweight {counterweight.body}")
     axes.add_patch(shape)

@@ -51,8 +51,6 @@ from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.units import DISPLAYED, percent
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from optlink.presentation.html.moving_linkage import Moving
 
 
@@ -160,7 +158,7 @@ def error(turns: RevolutionCurves) -> list[ChartSpec]:
     rms, peak = result.per_revolution[f"rms_{unit}"], result.per_revolution[f"peak_{unit}"]
     shown = turns.shares(np.max(peak))
     plotted = partial(Curve, numbers, mode="lines+markers" if len(numbers) <= MAX_MARKERS else "lines", size=3.5)
-    low, high = float(numbers[0]) - 0.5, float(numbers[-1]) + 0.5
+    low, high = numbers[0] - 0.5, numbers[-1] + 0.5
     ends = np.array([max(turns.begin - 0.5, low), high])
     deviations = [
         plotted(peak * shown.factor, "peak", CRANK, 1.1, gid="peak"),
@@ -220,7 +218,7 @@ def torque(turns: RevolutionCurves) -> list[ChartSpec]:
             curves.append(Curve(ideal[0], ideal[1] * unit.factor, name, TARGET, 1.4, "dash", legend=not close, gid="ideal"))
         limits = (-1.6 * near * unit.factor, 1.6 * near * unit.factor) if close else None
         if np.ptp(last) < 1e-6 * largest:  # constant torque: start at zero instead of showing rounding errors
-            ends = sorted((0.0, 1.15 * float(last[0]) * unit.factor))
+            ends = sorted((0.0, 1.15 * last[0] * unit.factor))
             limits = ends[0], ends[1]
         note = "near the ideal machine's torque, cut off" if close else ""
         panels.append(Panel(Axis(f"torque on {crank} [{unit.unit}]", limits), curves, 2.0 / len(views), note=note))
@@ -273,7 +271,7 @@ def energy(turns: RevolutionCurves) -> list[ChartSpec]:
             below.append(Curve(time, work * small.factor, f"lost at {point} {words}", colour, 1.5, dash, gid=f"lost {name}"))
     below.append(Curve(time, total * small.factor, "works minus energy gained", TARGET, 1.4, "dot", gid="total"))
     missing = np.abs(total - sum(lost.values())) / largest
-    low = 10.0 ** math.floor(math.log10(max(float(np.percentile(missing[1:], 5.0)), 1e-16)) - 1.0)
+    low = 10.0 ** math.floor(math.log10(max(np.percentile(missing[1:], 5.0), 1e-16)) - 1.0)
     share = Curve(time, np.maximum(missing, 1e-17), "imbalance", MUTED, 1.0, legend=False, gid="imbalance")
     limits = low, max(1e-8, 10.0 * np.max(missing))
     panels = [
@@ -306,12 +304,6 @@ def page(result: ClearanceSimulation) -> StoredStudy:
         by=f"event-driven integration of all bodies, tolerance {result.tolerance:g}{control}",
         drawn="Its last revolutions, drawn without the clearance, which is too small to be seen; journal orbits are below.",
     )
-
-
-def _mechanism(result: ClearanceSimulation) -> Figure:
-    from optlink.presentation.views.clearance_joints import mechanism
-
-    return mechanism(result)
 
 
 def _moving(result: ClearanceSimulation, steps: int) -> Moving | None:
@@ -438,7 +430,7 @@ def conclusion(result: ClearanceSimulation) -> str:
 VIEW = View(
     overview,
     charts=charts,
-    drawings={"mechanism": SomeDrawing(lambda result: bool(RevolutionCurves(result)), _mechanism)},
+    drawings={"mechanism": SomeDrawing(RevolutionCurves, clearance_joints.mechanism)},
     tables=lambda result: {"play": result.columns} if result.columns else {},
     page=page,
 )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from optlink.clearance.integration import Impact
 from optlink.clearance.joint import Gap
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.chart_mpl import FONT, TITLE
 from optlink.presentation.chart_spec import (
@@ -39,6 +39,7 @@ from optlink.presentation.chart_spec import (
 from optlink.presentation.drawing import STACKED_RATIO, Sketch
 from optlink.presentation.format import Scale, degrees, round_below, scale
 from optlink.presentation.labels import Label, in_points, lay_out, place_labels
+from optlink.presentation.shapes import normed
 from optlink.presentation.style import figure, heading, styled
 from optlink.presentation.views.revolutions import (
     CIRCLE,
@@ -52,7 +53,6 @@ from optlink.presentation.views.revolutions import (
     revolution_axis,
     rough,
 )
-from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.units import percent
 
 MAX_PENETRATION = 0.22  # largest magnified penetration, as a share of the clearance
@@ -189,7 +189,7 @@ def force(turns: RevolutionCurves) -> list[ChartSpec]:
             x, y = turns.fold(rub * unit.factor, last)
             forces.append(Curve(x, y, "friction on the journal, counter-clockwise", BODIES[2], 1.1, gid="friction"))
         depths = turns.overlay(np.maximum(depth, 0.0), small, "penetration")
-        joint_impacts = _impacts_of(turns, k, float(turns.time[last.start]))
+        joint_impacts = _impacts_of(turns, k, turns.time[last.start])
         deepest = max([0.0, *(impact.penetration for impact in joint_impacts)])
         if joint_impacts:
             at = np.degrees([impact.crank_angle for impact in joint_impacts]) % FULL
@@ -345,10 +345,10 @@ class MagnifiedMachine(Sketch):
         result = turns.result
         machine, speed = result.machine, result.speed
         turn = np.radians(turns.angle[rows[-1]]) + np.linspace(0.0, TURN, TRACE_POSITIONS)
-        super().__init__(sweep(machine.mechanism, machine.sizes, turn, speed), machine)
+        super().__init__(machine.motion(turn, speed), machine)
         self.turns, self.rows, self.gaps = turns, rows, {gap.point: gap for gap in result.gaps}
         self.pins = tuple(name for name in self.pins if name not in self.gaps)
-        self.steps = sweep(machine.mechanism, machine.sizes, np.radians(turns.angle[rows]), speed)
+        self.steps = machine.motion(np.radians(turns.angle[rows]), speed)
         self.close_up: Axes | None = None
         self.middles: dict[str, Array] = {}
         ideal = {body: self.steps.body_angle(body).value for body in self.mechanism.bodies}
@@ -433,7 +433,7 @@ class MagnifiedMachine(Sketch):
         joints = [name for name, bodies in self.mechanism.owners.items() if gap.journal in bodies and name != gap.point]
         if joints and gap.journal != FRAME:
             direction = np.mean([self.at(name, gap.journal)[k] for name in joints], axis=0) - journal
-            direction, off = direction / max(float(np.linalg.norm(direction)), 1e-30), journal - centre
+            direction, off = normed(direction), journal - centre
             inside = radius * radius - float(off @ off) + float(off @ direction) ** 2
             end = journal + direction * max(math.sqrt(max(inside, 0.0)) - float(off @ direction), 0.0)
             line = 3.8 if gap.journal == self.mechanism.crank.body else 3.0
@@ -472,7 +472,7 @@ class MagnifiedMachine(Sketch):
         axes.set_axis_off()
 
     def _state(self, gap: Gap, k: int) -> str:
-        depth, force = float(self.columns(f"{gap.point}.penetration_m")[k]), float(self.force(gap)[k])
+        depth, force = self.columns(f"{gap.point}.penetration_m")[k], self.force(gap)[k]
         if self.columns(f"{gap.point}.contact")[k] < 0.5:
             return f"apart, {rough(-depth, 'm')} left"
         return f"{rough(force, 'N')}, {rough(depth, 'm')} deep"
@@ -489,13 +489,13 @@ class MagnifiedMachine(Sketch):
         tint = tuple(1.0 - 0.35 * (1.0 - part) for part in to_rgb(colour))
         artists: list[Artist] = [_magnified_circle(centre, 1.0 - share, tint, colour, 1.4, 3.0, f"journal {gap.point}")]
         for body, at, begin, end in ((gap.journal, centre, 0.6 * (1.0 - share), 1.0 - share), (gap.bearing, middle, 1.0, 1.14)):
-            angle = 0.0 if body == FRAME else float(self.columns(f"{body}.angle_rad")[k])
+            angle = 0.0 if body == FRAME else self.columns(f"{body}.angle_rad")[k]
             ends = at + np.outer([begin, end], [math.cos(angle), math.sin(angle)])
-            artists.append(Line2D(ends[:, 0], ends[:, 1], color=self._colour(body), linewidth=2.0, zorder=4, gid=f"mark {body}"))
+            artists.append(Line2D(*ends.T, color=self._colour(body), linewidth=2.0, zorder=4, gid=f"mark {body}"))
         artists.append(Line2D([centre[0]], [centre[1]], marker="o", markersize=3.0, color=TARGET, linestyle="none", zorder=6))
-        if float(self.force(gap)[k]) > MIN_FORCE_SHARE * self.strongest:
+        if self.force(gap)[k] > MIN_FORCE_SHARE * self.strongest:
             x, y = e / max(float(np.hypot(*e)), 1e-300)
-            normal, rub = (float(self.columns(f"{gap.point}.{name}_N")[k]) for name in ("normal", "rub"))
+            normal, rub = (self.columns(f"{gap.point}.{name}_N")[k] for name in ("normal", "rub"))
             tip = middle + np.array([x, y])
             tail = tip + np.array([normal * x + rub * y, normal * y - rub * x]) * MAX_ARROW / self.strongest
             arrow = FancyArrowPatch((tail[0], tail[1]), (tip[0], tip[1]), arrowstyle="-|>", mutation_scale=10.0, color=TARGET)
@@ -511,9 +511,9 @@ def _magnified_circle(at: Array, radius: float, face: Any, edge: str, width: flo
 
 
 @styled
-def mechanism(result: ClearanceSimulation) -> Figure:
+def mechanism(turns: RevolutionCurves) -> Figure:
     """Draw the mechanism at the largest contact force of the last revolution, with close-ups of its joints with clearance."""
-    turns = RevolutionCurves(result)
+    result = turns.result
     last = np.arange(max(0, len(turns.time) - turns.points), len(turns.time))
     row = int(last[np.argmax(np.max([result[f"{gap.point}.normal_N"][last] for gap in result.gaps], axis=0))])
     sketch, count = MagnifiedMachine(turns, np.array([row])), len(result.gaps)
@@ -530,8 +530,7 @@ def mechanism(result: ClearanceSimulation) -> Figure:
     sketch.lay(strip, columns, 0)
     sketch.show(stage, sketch.steps)
     place = f"φ {degrees(math.radians(float(turns.angle[row]) % FULL))}, largest contact force of {turns.span(1)}"
-    words = turns.title("joint clearance, magnified", place).split("\n")
-    fig.suptitle("\n".join(heading(line, width - 0.4, TITLE) for line in words), fontsize=TITLE)
+    fig.suptitle(heading(turns.title("joint clearance, magnified", place), width - 0.4, TITLE), fontsize=TITLE)
     drawn = f"drawn {sketch.factor:g}-fold" if sketch.factor > 1.0 else "as they are"
     stage.set_title(f"deviations of the bodies {drawn}", fontsize=9.5)
     caption = heading("journals, their paths, contact forces on them", width if strip.get_position().x0 < 0.5 else 3.0, 9.5)

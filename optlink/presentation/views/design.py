@@ -126,7 +126,7 @@ def frames(result: SynthesisResult, count: int = FRAMES) -> list[Image.Image]:
     steps = view.begin + view.direction * np.linspace(0.0, TURN, count, endpoint=False)
     if not view.turns:
         ends = view.run if view.task.pointed else view.motion
-        steps = there_and_back(float(ends.crank_angle[0]), float(ends.crank_angle[-1]), count)
+        steps = there_and_back(ends.crank_angle[0], ends.crank_angle[-1], count)
     titles = marked(view.task.title, view.design, view.refuted)
     return PICTURES[view.task.requirement.family].film(view, steps, titles)
 

@@ -35,7 +35,7 @@ from optlink.presentation.chart_spec import (
 from optlink.presentation.drawing import film
 from optlink.presentation.format import scale, si
 from optlink.presentation.labels import Label
-from optlink.presentation.shapes import even, finite
+from optlink.presentation.shapes import even, finite, left_of, normed, ways
 from optlink.presentation.views.design_tables import captions, from_flat, words_of
 from optlink.presentation.views.design_view import DesignView, fitting, title_of, wrapped
 from optlink.problem.requirements.base import pose_angles
@@ -66,7 +66,7 @@ def small_frames(places: Array, angles: Array, length: float) -> Array:
 
     `places` (n, 2) are the origins, `angles` (n,) in rad; the arrow has the given length.
     """
-    x, y = np.stack([np.cos(angles), np.sin(angles)], axis=-1), np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
+    x, y = ways(angles), left_of(ways(angles).T).T
     gap = (math.nan, math.nan)
     strokes = [(0.0, 0.0), (1.0, 0.0), gap, (0.8, 0.11), (1.0, 0.0), (0.8, -0.11), gap, (0.0, 0.0), (0.0, 0.45), gap]
     return np.stack([places + length * (a * x + b * y) for a, b in strokes], axis=1).reshape(-1, 2)
@@ -209,10 +209,9 @@ class CloseUp:
             names.setdefault(first, []).append(k + 1)
         marks = []
         for k, numbers in names.items():  # prefer the outer side of the curve
-            outward = np.array([-following[k, 1], following[k, 0]])
-            outward = outward / max(float(np.linalg.norm(outward)), 1e-300)
+            outward = normed(left_of(following[k]))
             outward = -outward if float(outward @ (places[k] - middle)) < 0.0 else outward
-            at, prefer = (float(places[k, 0]), float(places[k, 1])), (float(outward[0]), float(outward[1]))
+            at, prefer = (places[k, 0], places[k, 1]), (outward[0], outward[1])
             marks.append(Mark(*at, _listed(numbers), TARGET, size=size, prefer=prefer, written=True, font=8.0))
         return marks
 
@@ -249,7 +248,7 @@ def _bulk(view: DesignView) -> NDArray[np.bool_]:
     if not np.any(limited) or np.all(limited):
         return np.ones(len(limited), dtype=bool)
     near = max(np.nanmax(distances[limited]), np.max(view.tolerances[limited]))
-    return limited if float(np.nanmax(distances[~limited])) > CUT_RATIO * near else np.ones(len(limited), dtype=bool)
+    return limited if np.nanmax(distances[~limited]) > CUT_RATIO * near else np.ones(len(limited), dtype=bool)
 
 
 def _distances(view: DesignView) -> Panel:
@@ -315,11 +314,11 @@ def law(view: DesignView) -> list[ChartSpec]:
     ]
     below: list[Trace] = []
     worst = int(np.nanargmax(np.abs(error)))
-    top, words = float(error[worst]), f"largest {error[worst]:+.4g}{'°' if unit.unit == 'deg' else ' ' + unit.unit}"
+    top, words = error[worst], f"largest {error[worst]:+.4g}{'°' if unit.unit == 'deg' else ' ' + unit.unit}"
     if task.robust is not None:  # there the error is prescribed minus generated
         high, low = (-unit.factor * end for end in ErrorResiduals(task).band(design.own, offsets))
         below.append(Band(crank, low, high, f"built, {task.robust.band}", LIMIT))
-        top, words = float((high if error[worst] > 0.0 else low)[worst]), f"{words} nominal"
+        top, words = (high if error[worst] > 0.0 else low)[worst], f"{words} nominal"
     below.append(Curve(crank, error, "" if task.robust is None else "nominal", LIMIT, 1.5, gid="error"))
     if len(at) <= MAX_MARKED:
         name = "design positions"
@@ -367,7 +366,7 @@ def transmission(view: DesignView) -> list[ChartSpec]:
     begin, end = view.crank(np.sort([view.begin, view.end]))
     spans: list[Span] = []
     for turn in (-360.0, 0.0, 360.0) if view.partial else ():
-        low, high = max(begin + turn, float(crank[0])), min(end + turn, float(crank[-1]))
+        low, high = max(begin + turn, crank[0]), min(end + turn, crank[-1])
         if low < high - 1e-9:
             spans.append(Span(low, high, "" if spans else "range of the requirement", RESULT, 0.08))
     traces, lines, marks = [], [], []
@@ -405,7 +404,7 @@ def output(view: DesignView) -> list[ChartSpec]:
 
 
 def _crank(view: DesignView, crank: Array) -> Axis:
-    return crank_angle(clockwise=view.direction < 0.0, limits=(float(np.min(crank)), float(np.max(crank))))
+    return crank_angle(clockwise=view.direction < 0.0, limits=(np.min(crank), np.max(crank)))
 
 
 def output_film(view: DesignView, steps: Array, titles: Sequence[str]) -> list[Image.Image]:

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from optlink.dynamics.columns import MotionColumns, efforts
-from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Value
 from optlink.presentation import chart_spec
 from optlink.presentation.chart_spec import GROUND, LIMIT, MUTED, RESULT, Array, Axis, ChartSpec, Curve, Panel, drive_axis
@@ -121,7 +120,7 @@ def _limits(term: Term, limits: tuple[float | None, float | None], shown: Scale,
         yield chart_spec.Line(limit * shown.factor, "" if k else "limit", LIMIT, dash="dashdot")
 
 
-@partial(SomeDrawing, lambda result: result.best and result.best.whole.of_cycle and result.best.analysis)
+@partial(SomeDrawing, lambda result: result.best and result.best.whole.of_cycle and result.best.analysis and result)
 @styled
 def beside_initial(result: SynthesisResult) -> Figure:
     """Draw the initial machine grey and the optimal one in colour, with joint paths, where the drive exerts most."""
@@ -140,13 +139,13 @@ def beside_initial(result: SynthesisResult) -> Figure:
     axes = fig.subplots()
     if initial is not None:
         _draw_initial(axes, initial, main.scale, at)
-    names = main.show(axes, sweep(optimal.machine.mechanism, optimal.machine.sizes, at))
+    names = main.show(axes, optimal.machine.motion(at))
     grey = {} if initial is None else {"initial_machine": Line2D([], [], color=INITIAL, linewidth=3.0)}
     main.add_legend(fig, 5, **grey)
     driving = optimal.problem.model.driving
     title = f"{design.whole.title}: at {driving.noun} {position(driving, float(at[0]))}"
     titles = marked(title, design, result.refuted)
-    fig.suptitle("\n".join(heading(line, width) for line in titles), color=None if design.valid else LIMIT)
+    fig.suptitle(heading("\n".join(titles), width), color=None if design.valid else LIMIT)
     place_labels(fig, names)
     return fig
 
@@ -161,20 +160,20 @@ def _largest_effort(optimal: Analysis) -> float:
 
 def _revolution(analysis: Analysis) -> Value:
     mechanism = analysis.machine.mechanism
-    return sweep(mechanism, analysis.machine.sizes, np.linspace(*mechanism.extent, STEPS + 1))
+    return analysis.machine.motion(np.linspace(*mechanism.extent, STEPS + 1))
 
 
 def _draw_initial(axes: Axes, initial: Analysis, shown: Scale, at: Array) -> None:
     """Draw the initial machine in grey: joint paths and bodies as lines."""
     mechanism = initial.machine.mechanism
-    whole_turn, position = _revolution(initial), sweep(mechanism, initial.machine.sizes, at)
+    whole_turn, position = _revolution(initial), initial.machine.motion(at)
     for name, bodies in mechanism.owners.items():
         if set(bodies) != {"frame"}:
             path = whole_turn.position(name) * shown.factor
-            axes.plot(path[:, 0], path[:, 1], color=INITIAL, linewidth=0.9, alpha=0.6, zorder=0.8, linestyle="--")
+            axes.plot(*path.T, color=INITIAL, linewidth=0.9, alpha=0.6, zorder=0.8, linestyle="--")
     for link in mechanism.links:
         if link.end:
             ends = np.array([position.position(point)[0] for point in (link.start, link.end)]) * shown.factor
-            axes.plot(ends[:, 0], ends[:, 1], color=INITIAL, linewidth=3.0, alpha=0.55, zorder=1.2, solid_capstyle="round")
+            axes.plot(*ends.T, color=INITIAL, linewidth=3.0, alpha=0.55, zorder=1.2, solid_capstyle="round")
     pins = np.array([position.position(name)[0] for name in mechanism.pins]) * shown.factor
-    axes.plot(pins[:, 0], pins[:, 1], linestyle="none", marker="o", markersize=5, mfc="white", mec=GROUND, alpha=0.6, zorder=1.4)
+    axes.plot(*pins.T, linestyle="none", marker="o", markersize=5, mfc="white", mec=GROUND, alpha=0.6, zorder=1.4)

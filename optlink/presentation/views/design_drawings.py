@@ -19,7 +19,7 @@ from optlink.presentation.chart_spec import CRANK, LIMIT, TARGET, charts_per_row
 from optlink.presentation.drawing import merged_positions
 from optlink.presentation.format import degrees
 from optlink.presentation.labels import Label, place_labels
-from optlink.presentation.shapes import even
+from optlink.presentation.shapes import even, ways
 from optlink.presentation.style import figure, heading, panels, styled
 from optlink.presentation.view import SomeDrawing
 from optlink.presentation.views.design_charts import MAX_NUMBERED, CloseUp, points_on
@@ -43,7 +43,7 @@ def _turning(axes: Axes, view: DesignView, pose: Motion) -> None:
         turn = min(turn, 0.8 * abs(view.end - view.begin))
         sense = sense if sense * (view.end - pose.crank_angle[0]) >= 1.25 * turn - 1e-9 else -sense
     angles = start + sense * np.linspace(0.25 * turn, 1.25 * turn, 33)
-    arc = pivot + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    arc = pivot + radius * ways(angles)
     arrow = FancyArrowPatch(path=Outline(arc), arrowstyle="-|>", mutation_scale=11.0, linewidth=1.5, color=CRANK)
     arrow.set(zorder=3.9, gid="turning")
     axes.add_patch(arrow)
@@ -105,10 +105,8 @@ def _view(result: SynthesisResult, pointed: bool) -> DesignView | None:
 
 @partial(SomeDrawing, partial(_view, pointed=True))
 @styled
-def beside_curve(result: SynthesisResult) -> Figure:
+def beside_curve(view: DesignView) -> Figure:
     """Draw the mechanism at its first target beside a close-up of its curve."""
-    view = _view(result, True)
-    assert view is not None
     close = CloseUp(view)
     widths = [min(max(MAX_HEIGHT / ratio + LABEL_WIDTH, 3.6), 6.2) for ratio in (view.sketch.ratio, close.ratio)]
     ratios = zip(widths, (view.sketch.ratio, close.ratio), strict=True)
@@ -149,7 +147,7 @@ def positions(view: DesignView) -> dict[str, float]:
             named += zip(("smallest transmission angle", "largest transmission angle"), at.tolist(), strict=True)
         else:
             worst = int(np.argmax(np.abs(angles - 0.5 * math.pi)))
-            named.append((f"worst transmission angle at {group.joint}", float(at[worst])))
+            named.append((f"worst transmission angle at {group.joint}", at[worst]))
     return merged_positions(named)
 
 
@@ -168,11 +166,9 @@ def _dead_centre(view: DesignView, at: float) -> str:
 
 @partial(SomeDrawing, partial(_view, pointed=False))
 @styled
-def at_positions(result: SynthesisResult) -> Figure:
+def at_positions(view: DesignView) -> Figure:
     """Draw the mechanism at its characteristic positions side by side, on one scale."""
-    view = _view(result, False)
-    assert view is not None
-    named = positions(view) or {"the reachable range begins": float(view.motion.crank_angle[0])}
+    named = positions(view) or {"the reachable range begins": view.motion.crank_angle[0]}
     columns = 3 if len(named) > 4 else min(len(named), 2)
     rows, width = -(-len(named) // columns), 3.9 * columns
     title = mechanism_title(view, max(width, 5.0) - 0.4)
@@ -197,7 +193,7 @@ MAX_DESIGNS = 9  # largest number of designs
 SCALE_RATIO = 4.0  # designs up to this multiple of the smallest size share one scale
 
 
-@partial(SomeDrawing, lambda result: len(result.designs) > 1)
+@partial(SomeDrawing, lambda result: len(result.designs) > 1 and result)
 @styled
 def designs(result: SynthesisResult) -> Figure:
     """Draw the distinct designs side by side on one scale and name their cognates."""

@@ -134,7 +134,7 @@ class _Points(Words):
     def targets(self, design: LinkageDesign) -> TableSpec:
         measured, targets, between = design.measured, design.task.data.columns, design.between
         step = max(1, math.ceil(len(targets) / MAX_POINTS))
-        digits = decimals(1e3 * float(abs(targets[:, :2]).max()))
+        digits = decimals(1e3 * abs(targets[:, :2]).max())
         rows = []
         for i in range(0, len(targets), step):
             places = (*targets[i, :2], *measured.generated[i])
@@ -164,7 +164,7 @@ class _Points(Words):
 
     def achieved(self, design: LinkageDesign) -> str:
         distances = design.measured.distances
-        rms, most = si(rms_of(distances), "m"), si(float(np.max(distances)), "m")
+        rms, most = si(rms_of(distances), "m"), si(np.max(distances), "m")
         rest = f"; {pretty(design.way_back.text)}" if design.way_back is not None else ""
         return f"the linkage passes the {len(distances)} prescribed points within {most} (root mean square {rms}){rest}"
 
@@ -298,7 +298,7 @@ def modes(design: LinkageDesign) -> dict[str, str]:
 
 def rms_of(deviations: Array) -> float:
     """Return the root mean square."""
-    return math.sqrt(float(np.mean(deviations**2)))
+    return math.sqrt(np.mean(deviations**2))
 
 
 def decimals(largest: float) -> int:

@@ -175,7 +175,7 @@ class DesignView:
         tolerances = self.tolerances[np.isfinite(self.tolerances)]
         if tolerances.size:
             distances = np.linalg.norm(np.diff(self.targets, axis=0), axis=1)
-            limit = min(limit, 0.45 * np.median(distances) / float(np.max(tolerances)))
+            limit = min(limit, 0.45 * np.median(distances) / np.max(tolerances))
         return max(1.0, round_below(limit))
 
 
@@ -235,7 +235,7 @@ def title_of(view: DesignView, width: float, title: str, *more: str) -> str:
     lines, fit = marked(title, view.design, view.refuted), view.design.fit
     if view.design.valid and fit is not None and fit.grade == "poor":
         lines.append(fit.text.capitalize())
-    return "\n".join([*(heading(line, width, TITLE) for line in lines), *filter(None, more)])
+    return "\n".join([heading("\n".join(lines), width, TITLE), *filter(None, more)])
 
 
 def mechanism_title(view: DesignView, width: float) -> str:

@@ -32,7 +32,7 @@ def _two_unknowns(result: SynthesisResult) -> bool:
     return sum(variable.name not in solution.nlp.helpers for variable in solution.nlp.variables) == 2
 
 
-@partial(SomeDrawing, _two_unknowns)
+@partial(SomeDrawing, lambda result: _two_unknowns(result) and result)
 @styled
 def objective_map(result: SynthesisResult) -> Figure | None:
     """Draw contours of the objective over two design variables; None if it is nowhere positive on the grid."""
@@ -100,5 +100,5 @@ def _iterations(axes: Axes, solutions: Mapping[str, Solution], names: list[str],
             designs = [solution.nlp.design(x) for x in solution.path]
             path = np.array([[design[free] * scale for free, scale in zip(names, scales, strict=True)] for design in designs])
             label = f"{name}, iterations"
-            axes.plot(path[:, 0], path[:, 1], "-o", markersize=3, linewidth=1.1, color=colours.get(name), label=label)
+            axes.plot(*path.T, "-o", markersize=3, linewidth=1.1, color=colours.get(name), label=label)
             axes.plot(*path[0], "s", color=colours.get(name), markersize=6)

@@ -10,6 +10,7 @@ from optlink.clearance.joint import Gap
 from optlink.linkage.vector2d import TURN
 from optlink.presentation.chart_spec import MUTED, RESULT, SHADE, Array, Axis, Curve, Line, Span, crank_angle
 from optlink.presentation.format import Scale, round_below, scale
+from optlink.presentation.shapes import finite_range
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.units import count_noun
 
@@ -96,7 +97,7 @@ class RevolutionCurves:
         if self.result.output.guide:
             return values
         values = np.unwrap(values)
-        return np.asarray(values - TURN * math.floor(float(np.min(values[self.rows(WINDOW)])) / TURN + 0.5))
+        return np.asarray(values - TURN * math.floor(np.min(values[self.rows(WINDOW)]) / TURN + 0.5))
 
     @property
     def error(self) -> Array:
@@ -128,7 +129,7 @@ class RevolutionCurves:
         stem, _, unit = name.rpartition("_")
         exact = self.result.per_revolution[f"{stem}_max_{unit}".removeprefix("input.")] if self.last else np.zeros(0)
         complete = min(count - self.broken, len(exact))
-        return max(peak, float(np.max(exact[-complete:]))) if complete else peak
+        return max(peak, np.max(exact[-complete:])) if complete else peak
 
     # --- titles --------------------------------------------------------------------------------------------------------
 
@@ -184,7 +185,7 @@ class RevolutionCurves:
 
     def ends(self, rows: slice) -> list[Line]:
         """Return the ends of the revolutions [s] within rows as vertical lines."""
-        first, last = (float(self.time[rows][k]) for k in (0, -1))
+        first, last = (self.time[rows][k] for k in (0, -1))
         times = [k * self.period for k in range(math.ceil(first / self.period - 1e-9), self.last + 1)]
         return [Line(at, "", MUTED, 0.9, "dot", gid="revolution") for at in times if first < at < last - 1e-6 * (last - first)]
 
@@ -246,12 +247,11 @@ def clipped_limits(turns: RevolutionCurves, values: Array, low: float, high: flo
     every = values[turns.rows(turns.shown)]
     top = max(high, np.max(values[turns.rows(1)]), np.percentile(every, LIMITS_PERCENTILE))
     top = top if top > 0.0 else 1.0
-    return (1.08 * low, 1.08 * top), ", cut off" if float(np.max(every)) > 1.08 * top else ""
+    return (1.08 * low, 1.08 * top), ", cut off" if np.max(every) > 1.08 * top else ""
 
 
 def padded_limits(values: Array, least: float = 0.0) -> tuple[float, float]:
     """Return limits of all finite values with a margin; the least range is a share of the largest absolute value."""
-    finite_values = values[np.isfinite(values)]
-    low, high = (float(finite_values.min()), float(finite_values.max())) if finite_values.size else (0.0, 0.0)
+    low, high = finite_range(values)
     width = max(high - low, least * max(abs(low), abs(high))) or 1.0
     return 0.5 * (low + high) - 0.58 * width, 0.5 * (low + high) + 0.58 * width

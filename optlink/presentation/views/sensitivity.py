@@ -81,13 +81,8 @@ def charts(result: Sensitivities) -> list[ChartSpec]:
 def columns(result: Sensitivities) -> Mapping[str, list[float | str]]:
     """Return one row for each parameter by column [SI]; `unit` is that of the parameter."""
     rows = result.rows
-    parameters = [row.parameter for row in rows]
     return {
-        "key": [parameter.key for parameter in parameters],
-        "name": [parameter.name for parameter in parameters],
-        "value": [parameter.value for parameter in parameters],
-        "unit": [parameter.unit for parameter in parameters],
-        "step": [parameter.step for parameter in parameters],
+        **{key: [getattr(row.parameter, key) for row in rows] for key in ("key", "name", "value", "unit", "step")},
         "objective_per_unit": [row.objective for row in rows],
         **{f"{name}_{unit}_per_unit": [row.design[name] for row in rows] for name, unit in result.units.items()},
         "valid_from": [row.below.value for row in rows],

@@ -30,6 +30,7 @@ from optlink.presentation.chart_spec import (
     max_abs,
 )
 from optlink.presentation.format import Scale, figure, scale, si
+from optlink.presentation.scene import colours_of
 from optlink.presentation.shapes import even
 from optlink.presentation.view import PageSection, StoredStudy, View
 from optlink.presentation.views import analysis_tables
@@ -88,7 +89,7 @@ def drive(run: Simulation) -> list[ChartSpec]:
         shown = scale(most, effort.unit)
         limits_ = None
         if np.ptp(torque) < 1e-6 * most:  # constant torque: start at zero instead of showing rounding errors
-            low, high = sorted((0.0, 1.15 * float(torque[0]) * shown.factor))
+            low, high = sorted((0.0, 1.15 * torque[0] * shown.factor))
             limits_ = low, high
         curve = _curve(run, effort.column, shown.factor, effort.words, BODIES[k % len(BODIES)], legend=False)
         panels.append(Panel(Axis(f"{effort.words} [{shown.unit}]", limits_), [curve]))
@@ -125,10 +126,10 @@ def output(run: Simulation) -> list[ChartSpec]:
 
 def bodies(run: Simulation) -> list[ChartSpec]:
     """Plot the angular velocities of the bodies that turn, but that of the crank, which `drive` shows."""
-    crank = run.machine.mechanism.crank.body
-    names = {body: f"{body}.omega_rad_s" for body in run.machine.mechanism.bodies if body != crank}
-    colours = {name: BODIES[k % len(BODIES)] for k, name in enumerate(names.values())}
-    floor = 1e-8 * largest(run.columns, {*colours, f"{crank}.omega_rad_s"} & run.columns.keys())
+    bodies, crank = colours_of(run.machine.mechanism), run.machine.mechanism.crank.body
+    colours = {f"{body}.omega_rad_s": colour for body, colour in bodies.items()}
+    names = {body: f"{body}.omega_rad_s" for body in bodies if body != crank}
+    floor = 1e-8 * largest(run.columns, colours.keys() & run.columns.keys())
     turning = {body: name for body, name in names.items() if name in run.columns and largest(run.columns, [name]) > floor}
     shown = dict(list(together(run.columns, turning).items())[:MAX_BODIES])
     curves = []

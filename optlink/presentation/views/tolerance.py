@@ -95,7 +95,7 @@ def _contributions(result: Tolerance) -> ChartSpec:
     title = f"Variance contributions to {result.nominal.name}"
     heading, x = f"{result.problem.model.title}: variance contributions to its scatter", result.nominal.places
     if len(x) == 1:
-        places, shares = np.arange(len(parts), 0.0, -1.0), np.array([float(share[0]) for _, share in parts])
+        places, shares = np.arange(len(parts), 0.0, -1.0), np.array([share[0] for _, share in parts])
         bars = Bars(places, shares, "share", colours, 0.8, horizontal=True, legend=False)
         names = Axis(ticks=[(place, name) for place, (name, _) in zip(places.tolist(), parts, strict=True)])
         across = Axis(f"share of the variance at {_place(result, 0)} [%]")
