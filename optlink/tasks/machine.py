@@ -14,7 +14,7 @@ from optlink.linkage.singular import positions_text
 from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.driving import Driving
-from optlink.problem.file import ProblemFile, check_plausible
+from optlink.problem.file import AnyProblem, ProblemFile, check_plausible, problem_of
 from optlink.problem.quantity import check_choice, input_of, read_quantity
 from optlink.units import KINDS
 
@@ -29,6 +29,17 @@ UNKNOWN_QUANTITY = "unknown quantity of the design"
 RATES = ("omega", "v", "w")  # variables of a load that are not known before the motion under a torque
 SAME_RANGE = 1e-9  # rad, difference of the ends of ranges that are the same
 MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are infinite at a dead position
+
+
+def moved(problem: AnyProblem) -> ProblemFile:
+    """Return the problem of a machine that is moved: a fixed design whose crank only swings gets the range of its requirement."""
+    problem = problem_of(problem)
+    model = problem.model
+    if not getattr(model, "parts", ()) or model.free or model.limits.crank != "span":  # type: ignore[attr-defined]
+        return problem
+    from optlink.tasks.run import validate
+
+    return validate(problem, {}).machine or problem
 
 
 def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machine | None:

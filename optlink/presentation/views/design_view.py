@@ -202,11 +202,11 @@ def fitting(value: float, unit: Scale) -> Scale:
 
 
 def with_verdict(design: LinkageDesign | None, refuted: str = "") -> tuple[ProblemFile, str] | None:
-    """Return the machine of a design with its verdict; None if there is none, or if it has no cycle although only that counts."""
+    """Return a design as a problem with its verdict; None if there is none, or if it has no cycle although only that counts."""
     if design is None or (design.whole.of_cycle and design.analysis is None):
         return None
     why = refuted or why_invalid(design.validation.checks, design.status.text)
-    return design.machine, verdict(design.status.value, design.valid, why)
+    return design.as_problem, verdict(design.status.value, design.valid, why)
 
 
 def sizes(view: DesignView) -> list[str]:
