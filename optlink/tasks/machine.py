@@ -1,5 +1,6 @@
 """The machine of a problem, its crank speed and its range of motion."""
 
+import importlib
 import math
 import weakref
 from collections.abc import Iterator, Mapping
@@ -37,9 +38,8 @@ def moved(problem: AnyProblem) -> ProblemFile:
     model = problem.model
     if not getattr(model, "parts", ()) or model.free or model.limits.crank != "span":  # type: ignore[attr-defined]
         return problem
-    from optlink.tasks.run import validate
-
-    return validate(problem, {}).machine or problem
+    task = importlib.import_module("optlink.tasks.run").design_task(problem)  # whose results move machines
+    return task.validate(problem, {}).machine or problem
 
 
 def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machine | None:

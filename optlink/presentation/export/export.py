@@ -14,7 +14,7 @@ from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import Failure, failure
-from optlink.linkage.vector2d import Array, Vector
+from optlink.linkage.vector2d import TURN, Array, Vector
 from optlink.presentation.files import check_target, write_csv
 from optlink.presentation.report_model import ReportModel
 from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range, nearest
@@ -183,13 +183,15 @@ def _json(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> 
 def _cutting(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> Sequence[str]:
     """Write the parts for laser cutting."""
     from optlink.presentation.export.cutting import WRITERS
+    from optlink.presentation.parts.layout import engraved
     from optlink.presentation.parts.model import part_set
 
     write = WRITERS[path.suffix.lower()]
     parts = part_set(cycle, options.hole, options.width)
     with whole(path) as temporary:
         write(parts, model.problem.model.title, temporary)
-    return parts.notes
+    bare = ", ".join(name for name, part in parts.parts.items() if engraved(part) is None)
+    return (*parts.notes, *([f"Without room for an engraved name: {bare}."] if bare else []))
 
 
 def _printing(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> Sequence[str]:
@@ -233,7 +235,8 @@ def _sheet(model: ReportModel, cycle: Analysis, path: Path, options: Options) ->
     head["title"] = head["title"] if model.valid else f"NOT VALID: {head['title']}"
     positions = sweep(cycle.machine.mechanism, cycle.machine.sizes, angles)
     parts = part_set(cycle, options.hole, options.width)
-    drawn, notes = sheets(parts, cycle, positions, [f"assembly, {problem.driving.text(at)}" for at in angles], head)
+    shown = [at % TURN if cycle.full and cycle.cycle == TURN else at for at in angles]
+    drawn, notes = sheets(parts, cycle, positions, [f"assembly, {problem.driving.text(at)}" for at in shown], head)
     with whole(path) as temporary:
         WRITERS[path.suffix.lower()](drawn, head["title"], temporary)
     return notes
