@@ -219,6 +219,7 @@ def sizes(view: DesignView) -> list[str]:
         return []
     lengths = {name: values[name] * unit.factor for name in names if task.quantities[name].kind != "angle"}
     texts = [f"{name} {f'{lengths[name]:z.{unit.decimals}f}' if name in lengths else degrees(values[name])}" for name in names]
+    texts = [text.replace(" -", " −") for text in texts]
     return [f"in {unit.unit}: {texts[0]}", *texts[1:]]
 
 
