@@ -107,6 +107,7 @@ def commands(session: Session) -> None:
     if designed:
         run(0, "validate", name, *of)
         run(0, "validate", "solved")
+        run(0, "validate", "solved/design.toml")
         run(motion_codes(session), "analyze", "solved", *ROWS)
 
     run(motion_codes(session), "analyze", name, *ROWS, *of, "--out", "analysed")

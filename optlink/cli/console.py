@@ -216,15 +216,16 @@ def share(what: str, *, said: bool = False) -> Iterator[Callable[..., None] | No
     """Yield a progress function for a bar with the remaining time on standard error; None if that is not a terminal.
 
     The bar appears with the first fraction below 1: work of a single step shows none. The function takes the completed fraction,
-    and optionally a text that follows `what`. `said`: without a terminal a line says what has begun, after all input was checked.
+    and optionally a text that follows `what`. `said`: without a terminal a line says what has begun, after all input was checked,
+    and one each new text.
     """
     if quiet or not sys.stderr.isatty():
         begun: list[str] = []
 
-        def say(_done: float, _text: str = "") -> None:
-            if not begun:
-                begun.append(what)
-                print(f"{what} ...", file=sys.stderr, flush=True)
+        def say(_done: float, text: str = "") -> None:
+            if what + text not in begun:
+                begun.append(what + text)
+                print(f"{what}{text} ...", file=sys.stderr, flush=True)
 
         yield say if said and not quiet else None
         return

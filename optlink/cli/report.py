@@ -177,6 +177,7 @@ def _written(about: ReportModel | StoredStudy, output: Path, as_json: bool) -> N
         document = head(SCHEMA, about.problem, "valid" if about.valid else "not valid")
         console.print_json(document | {"valid": about.valid, "file": str(output), "bytes": size})
     else:
-        print(f"{output}: {size:,} bytes. {about.verdict}")
+        moved = getattr(getattr(about, "result", None), "kind", "") == "analysis" and about.valid
+        print(f"{output}: {size:,} bytes. {about.verdict}{'; the file states no requirement to check' if moved else ''}")
     if not about.valid:
         raise typer.Exit(1)

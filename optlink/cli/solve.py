@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -119,8 +121,8 @@ def solve(
         console.refuse(limits, "the option applies to a certificate of the global optimum only", remedy, file.file)
     seconds = console.quantity(time_limit, "time", "--time-limit")
     rounds = steps or file.raw.get("rounding")
-    what = "searching and rounding" if rounds else "searching"
-    with console.share(what, said=bool(rounds)) as progress, console.share("proving") as proving:
+    with console.share("" if rounds else "searching", said=bool(rounds)) as shared, console.share("proving") as proving:
+        progress = shared if shared is None or not rounds else partial(_in_halves, shared)
         options = console.given(engine=engine, workers=workers, scheduler=scheduler, rounding=_steps(rounding))
         options |= {"gap": GLOBAL_GAP if gap is None else gap, "time_limit": math.inf if seconds is None else seconds}
         options["proving"] = proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}"))
@@ -128,6 +130,11 @@ def solve(
     if result.interrupted:
         print(f"Interrupted: {_interrupted(result)}.", file=sys.stderr)
     console.deliver(result, as_json, out, details=details)
+
+
+def _in_halves(progress: Callable[..., None], done: float) -> None:
+    """Show the progress of a search, the first half, and of the rounding of what it found."""
+    progress(done, "searching" if done < 0.5 else "rounding the sizes; Ctrl-C keeps the best ones so far")
 
 
 def _steps(rounding: list[str] | None) -> str | dict[str, object] | None:

@@ -85,7 +85,7 @@ def solve_or_validate(
 ) -> DesignResult | Analysis:
     """Solve a problem, validate a given design of it, or analyse it.
 
-    An analysis or balancing problem is analysed. Any other problem is solved, or validated if a design is given.
+    An analysis or balancing problem is analysed. Any other problem is solved, or validated if a design is given or all is fixed.
 
     Parameters
     ----------
@@ -106,7 +106,9 @@ def solve_or_validate(
     """
     if problem.task in ("analysis", "balance"):
         return analyze(problem, design=design)
-    return cast(Outcome, solve(problem, backend, starts, seed) if design is None else validate(problem, design))
+    if design is None and problem.model.free:
+        return cast(Outcome, solve(problem, backend, starts, seed))
+    return cast(Outcome, validate(problem, design or {}))
 
 
 def report_model_of(outcome: DesignResult | Analysis) -> ReportModel:

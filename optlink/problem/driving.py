@@ -102,6 +102,13 @@ class Driving:
         return f"{self.noun} of {self.mechanism.drives[0].body}"
 
     @property
+    def datum(self) -> str:
+        """The line from which a crank angle is measured, in words; empty for other drives."""
+        if self.ends is not None or self.mechanism.drives:
+            return ""
+        return "the x axis" if self.mechanism.datum == 0.0 else "A → D"
+
+    @property
     def column(self) -> str:
         """Name of a column of positions of the drive: "crank_angle_deg", "length_mm"."""
         return "crank_angle_deg" if self.noun == "angle" else f"{self.noun.replace(' ', '_')}_{self.unit}"

@@ -40,7 +40,7 @@ from optlink.problem.machine.balance import with_terms
 from optlink.problem.machine.model import FORMAT, Problem, marked_kinds
 from optlink.problem.mechanism import read_near
 from optlink.problem.overview import linkage_type
-from optlink.problem.quantity import BOTH, input_of, nearest, write
+from optlink.problem.quantity import BOTH, input_of, nearest, quantity_key, write
 from optlink.problem.requirements.base import DEFAULT_KIND, names_of
 from optlink.problem.requirements.kinds import REQUIREMENTS
 from optlink.problem.rounding import with_grid
@@ -714,25 +714,34 @@ def _fixed(path: tuple[str, ...]) -> bool:
 
 # The problem with all design variables fixed at a given design: a machine for `analyze`, `simulate` and pictures.
 
-DESIGN_SECTIONS = ("requirement", "requirements", "objective", "limits", "rounding", "expected")
+DESIGN_SECTIONS = ("requirement", "requirements", "objective", "limits")
 """Sections of a design; without them a problem is a machine."""
 
 
-def fixed_design(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
-    """Return the machine of a problem with fixed quantities, without requirement, objective and limits.
+def fixed_design(file: ProblemFile, values: Mapping[str, float], *, checked: bool = False) -> ProblemFile:
+    """Return the machine of a problem with fixed quantities.
 
     Parameters
     ----------
     values : mapping of str to float [m, rad]
         Value of every quantity of the mechanism.
+    checked : bool, optional
+        Keep requirement, objective and limits, so that `optlink.validate` checks the design, with its angles in `values`.
     """
     file = file.override(file.located) if file.located else file  # a mode by the place of a joint is that of the start
-    raw: dict[str, Any] = copy.deepcopy({key: value for key, value in file.raw.items() if key not in DESIGN_SECTIONS})
-    for name, quantity in file.model.mechanism.quantities.items():
+    left_out = {"rounding", "expected", *(() if checked else DESIGN_SECTIONS)}
+    raw: dict[str, Any] = copy.deepcopy({key: value for key, value in file.raw.items() if key not in left_out})
+    sizes = file.model.mechanism.quantities
+    angles = {name: one for name, one in file.model.quantities.items() if checked and one.free and name not in sizes}
+    for name, quantity in {**sizes, **angles}.items():
         number = values[name] / quantity.si_per_unit
         short = float(f"{number:.12g}")  # 53.5, not 53.50000000000001
         number = short if math.isclose(short, number, rel_tol=1e-15) else number
-        write(raw["mechanism"], name, f"{number!r} {quantity.display[1]}")
+        text = f"{number!r} {quantity.display[1]}"
+        if name in sizes:
+            write(raw["mechanism"], name, text)
+        else:
+            _assign(raw, quantity_key(file.model, name), text, file.file)
     return file.with_tables(raw)
 
 

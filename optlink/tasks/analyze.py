@@ -41,6 +41,7 @@ from optlink.tasks.machine import (
     crank_speed,
     machine_of,
     motion_range,
+    moved,
     start_value_notes,
     starting_angle,
     table_angles,
@@ -327,7 +328,7 @@ def analyze(
     >>> result["crank_angle_deg"].shape, list(result.columns)[:3]
     ((361,), ['crank_angle_deg', 'time_s', 'crank.angle_rad'])
     """
-    problem = problem_of(problem)
+    problem = moved(problem)
     sizes = check_design(problem, design)
     _check(points, step)
     analysis = _analysed(problem, points, step, crank_speed(problem, speed), sizes)
@@ -801,7 +802,7 @@ def analyze_batch(
     >>> columns["input.torque_Nm"].shape
     (3, 360)
     """
-    problem = problem_of(problem)
+    problem = moved(problem)
     check_range("points", points, 1, MAX_POINTS)
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))

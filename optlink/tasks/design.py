@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from optlink.errors import InputError, Status
+from optlink.errors import OPTIONS_NAMED, InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.vector2d import Array
 from optlink.optimization.courses import TermCourse
@@ -249,7 +249,8 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
     if rounds.exploration.rounds and coverage.missed > MISSED_CHANCE:
         count = rounds.starts
         more = min(4 * count, SynthesisTask.most_starts)
-        yield f"{INCOMPLETE}: {count_noun(count, 'start')}, {coverage.chance}; search with {more} starts"
+        option = f"--starts {more}" if OPTIONS_NAMED.get() else f"starts={more}"
+        yield f"{INCOMPLETE}: {count_noun(count, 'start')}, {coverage.chance}; search with {option}"
 
 
 def _notes_on_sampling(rounds: SearchRounds, best: LinkageDesign) -> Iterator[str]:

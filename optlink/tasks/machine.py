@@ -1,5 +1,6 @@
 """The machine of a problem, its crank speed and its range of motion."""
 
+import importlib
 import math
 import weakref
 from collections.abc import Iterator, Mapping
@@ -14,7 +15,7 @@ from optlink.linkage.singular import positions_text
 from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.driving import Driving
-from optlink.problem.file import ProblemFile, check_plausible
+from optlink.problem.file import AnyProblem, ProblemFile, check_plausible, problem_of
 from optlink.problem.quantity import check_choice, check_scalar, input_of, read_quantity
 from optlink.units import KINDS
 
@@ -29,6 +30,16 @@ UNKNOWN_QUANTITY = "unknown quantity of the design"
 RATES = ("omega", "v", "w")  # variables of a load that are not known before the motion under a torque
 SAME_RANGE = 1e-9  # rad, difference of the ends of ranges that are the same
 MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are infinite at a dead position
+
+
+def moved(problem: AnyProblem) -> ProblemFile:
+    """Return the problem of a machine that is moved: a fixed design whose crank only swings gets the range of its requirement."""
+    problem = problem_of(problem)
+    model = problem.model
+    if not getattr(model, "parts", ()) or model.free or model.limits.crank != "span":  # type: ignore[attr-defined]
+        return problem
+    task = importlib.import_module("optlink.tasks.run").design_task(problem)  # whose results move machines
+    return task.validate(problem, {}).machine or problem
 
 
 def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machine | None:

@@ -302,8 +302,7 @@ class DesignTask(ABC, Generic[R]):
         """
         if not problem.model.free:
             message = "no design variables: every dimension is fixed"
-            example, instead = 'coupler = { bounds = ["100 mm", "900 mm"] }', "check the design: optlink validate"
+            example = 'coupler = { bounds = ["100 mm", "900 mm"] }'
             if problem.model.of_cycle:
                 example = 'length = { start = "120 mm", bounds = ["60 mm", "200 mm"] }'
-                instead = "`optlink analyze` the machine"
-            raise InputError(message, f"Free one: {example}, or {instead}", problem.file, "mechanism")
+            raise InputError(message, f"Free one: {example}, or check the design: optlink validate", problem.file, "mechanism")

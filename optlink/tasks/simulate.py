@@ -22,7 +22,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
 from optlink.problem.document import Columns, Number, Renamed, Source, Tabled
 from optlink.problem.driving import end_with_speed
-from optlink.problem.file import AnyProblem, ProblemFile, problem_of
+from optlink.problem.file import AnyProblem, ProblemFile
 from optlink.problem.machine.bodies import StopsSection
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
@@ -31,6 +31,7 @@ from optlink.tasks.machine import (
     duration_of,
     machine_of,
     motion_range,
+    moved,
     pole_notes,
     start_value_notes,
     starting_angle,
@@ -152,7 +153,7 @@ def simulate(
     >>> float(run["time_s"][-1]), round(run.figures["input.work_J"], 3)
     (0.1, 220.81)
     """
-    problem = problem_of(problem)
+    problem = moved(problem)
     sizes = check_design(problem, design)
     if progress is not None:
         progress(0.0)  # the preparation of a long chain of links takes seconds

@@ -14,7 +14,9 @@ import typer.main
 from typer.testing import CliRunner
 
 import optlink
+from optlink.cli import console
 from optlink.cli.app import app, needed, rejoined
+from optlink.cli.solve import _in_halves
 from optlink.errors import Fault
 
 ROOT = Path(__file__).parents[2]
@@ -425,3 +427,11 @@ def test_a_number_without_a_unit_is_offered_in_si_in_python_alone(key, value, un
     assert f"Write {remedies[0]}, with the quotes" in typed
     with pytest.raises(optlink.InputError, match=f"Write {remedies[0]} or {remedies[1]}, with the quotes"):
         optlink.load("path-arc5", {f"mechanism.{key}": value})
+
+
+def test_work_without_a_terminal_says_each_stage_once(capsys):
+    """A search, and the rounding of what it found: minutes in which nothing else is printed."""
+    with console.share("", said=True) as progress:
+        for done in (0.1, 0.4, 0.6, 0.9):
+            _in_halves(progress, done)
+    assert capsys.readouterr().err == "searching ...\nrounding the sizes; Ctrl-C keeps the best ones so far ...\n"

@@ -18,10 +18,11 @@ from optlink.presentation import chart_mpl
 from optlink.presentation.html import moving_linkage
 from optlink.presentation.html.moving_linkage import cycle_of
 from optlink.presentation.html.page import page, write_page
-from optlink.presentation.html.study_page import abridged
+from optlink.presentation.html.study_page import _datum, abridged
 from optlink.presentation.interface import page_content
 from optlink.presentation.views.conclusions import _compared
 from optlink.presentation.views.design_charts import output
+from optlink.presentation.views.design_tables import _within
 from optlink.presentation.views.design_view import DesignView
 from optlink.presentation.views.search_tables import limits
 from optlink.problem.templates import template
@@ -138,7 +139,29 @@ def test_a_short_page_does_not_speak_of_the_initial_design():
 def test_the_sentence_of_a_short_page_states_the_swing():
     problem = {"limits.swing_angle": "90 deg +- 0.5 deg", "limits.time_ratio": [1, 1.01]}
     result = optlink.solve(optlink.read(template("wiper").text, "wiper").override(problem), starts=1, certify=False)
-    assert "swing angle 89.5°; the least transmission angle" in text_of(page(page_content(result, {}), brief=True))
+    assert "swing angle 89.5°; the smallest transmission angle" in text_of(page(page_content(result, {}), brief=True))
+
+
+@pytest.mark.parametrize(
+    ("most", "size", "told"),
+    [
+        (0.38e-3, 0.083, "0.38 mm (root mean square 0.2687 mm)"),
+        (0.9e-6, 0.083, "0.001 mm"),  # the sum of squares may have any digits below it
+        (0.9e-6, 0.0083, "0.0009 mm (root mean square 0.0006364 mm)"),
+    ],
+)
+def test_a_sentence_tells_no_deviation_that_nobody_can_make(most, size, told):
+    assert _within(np.array([most, 0.0]), size) == told
+
+
+def test_pages_say_from_where_crank_angles_are_measured():
+    """Of a four-bar whose frame is turned from its frame, else from the x axis; a slide that drives has no crank angle."""
+    sizes = {"crank": "20 mm", "coupler": "60 mm", "rocker": "50 mm", "frame": "70 mm", "direction": "20 deg"}
+    turned = optlink.read({"title": "Turned", "mechanism": sizes})
+    lift = optlink.read(template("lift").text, "lift")
+    for problem, told in ((turned, "A → D"), (optlink.load("crank-rocker"), "the x axis"), (lift, "")):
+        words = _datum(moving_linkage.turning(optlink.analyze(problem), 24))
+        assert words == ([f"Crank angles are measured from {told}, counter-clockwise."] if told else [])
 
 
 def test_a_crank_that_swings_is_shown_in_its_range():

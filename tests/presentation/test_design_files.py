@@ -1,4 +1,4 @@
-"""The design.toml of every kind of result: loaded from another folder, its machine moves like the design."""
+"""The design.toml of every kind of result: from another folder, its machine moves like the design, and its checks pass."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def check_lengths(raw: dict[str, Any], result: dict[str, Any], machine: dict[str
     for name, size in machine["sizes"].items():
         if f"{name}_mm" in result["design"]:
             assert size == pytest.approx(1e-3 * result["design"][f"{name}_mm"], rel=1e-12)
-    assert not {"requirement", "objective", "limits", "balance"} & set(raw)
+    assert {"requirement", "objective"} & set(raw)
 
 
 def check_law(result: dict[str, Any], machine: dict[str, Any]) -> None:
@@ -244,6 +244,9 @@ def test_the_design_file_of_every_kind_of_result_is_a_machine(kind: str, tmp_pat
         check_balance(result, machine)
         return
     check_lengths(raw, result, machine)
+    checked = command("validate", "kept/design.toml")
+    assert checked["valid"]
+    assert checked["objective"]["value"] == pytest.approx(result["objective"]["value"], rel=1e-9)
     if kind in ("law", "function"):
         check_law(result, machine)
     elif kind == "transmission":

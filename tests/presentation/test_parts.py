@@ -23,7 +23,7 @@ from optlink.presentation.export.export import FORMATS, Options, export
 from optlink.presentation.export.printing import KERNELS
 from optlink.presentation.parts import solids
 from optlink.presentation.parts.layers import stacked
-from optlink.presentation.parts.layout import engraved, laid_out
+from optlink.presentation.parts.layout import _turned, engraved, laid_out
 from optlink.presentation.parts.model import FlatPart, part_set
 from optlink.presentation.parts.solids import Solid, plate
 from optlink.presentation.report_model import ReportModel, report_model_of
@@ -272,7 +272,7 @@ def test_distances_of_holes_are_those_of_the_motion(name, tmp_path):
         found = distances(np.array(circles(places, faces, 0.5 * part.openings[0].diameter)))
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
         placed = next(one for one in laid_out(part_set(about.cycle).parts.values()).parts if one.part.name == body)
-        low, high = (corner + placed.shift for corner in part.corners)
+        low, high = (corner + placed.shift for corner in placed.part.corners)
         np.testing.assert_allclose(distances(cut[np.all((cut > low) & (cut < high), axis=1)]), wanted, rtol=0, atol=1e-6)
         compared += len(wanted)
     assert compared
@@ -324,6 +324,28 @@ def test_outlines_lie_apart_and_names_within_them(name):
             assert Polygon(solids.polygon(part.outline)).contains_points(corners).all()
             for opening in part.openings:
                 assert not Polygon(solids.polygon(opening.outline)).contains_points(corners).any()
+
+
+def test_a_part_that_lies_askew_is_turned_to_save_room():
+    """A bar at 53 deg takes the room of one that lies along the sheet, with the same holes; a part that saves little stays."""
+    parts = part_set(of("crank-rocker").cycle).parts
+    askew = _turned(parts["frame"], np.array([0.6, 0.8]))
+    (one,) = laid_out([askew]).parts
+    assert np.ptp(np.array(askew.corners), axis=0) == pytest.approx([350.0, 450.0])
+    assert np.ptp(np.array(one.part.corners), axis=0) == pytest.approx([550.0, 50.0])
+    ends = [opening.ends[0] for opening in one.part.openings]
+    assert ends[1][1] - ends[0][1] == pytest.approx(0.0, abs=1e-9)
+    assert abs(ends[1][0] - ends[0][0]) == pytest.approx(500.0)
+    assert laid_out([parts["frame"]]).parts[0].part is parts["frame"]
+
+
+def test_a_part_without_room_for_its_name_is_told(tmp_path):
+    """10 mm are left between the holes of the crank."""
+    about = of("crank-rocker")
+    assert "Without room for an engraved name: crank." in export(
+        about, tmp_path / "a.svg", Options(None, 0.09, 0.2, 360, "parts")
+    )
+    assert not any("engraved" in note for note in export(about, tmp_path / "a.svg", Options(content="parts")))
 
 
 def test_an_svg_is_at_true_size(tmp_path):

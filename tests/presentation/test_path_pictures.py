@@ -398,7 +398,7 @@ def test_transmission_angles_are_those_of_the_cosine_law():
     legend = picture("transmission", "transmission").axes[0].get_legend().get_texts()[0].get_text()
     assert legend == f"at C: {drawn[:, 1].min():.2f}° to {drawn[:, 1].max():.2f}°"
     heading = picture("transmission", "mechanism").get_suptitle()
-    assert f"least transmission angle {math.degrees(best.least_transmission):.4g}°" in heading
+    assert f"{math.degrees(best.least_transmission):.4g}°" in heading.partition("transmission angle")[2]
     assert "cosine" not in heading
     assert not {"path", "errors"} & {name for name, drawn in drawings(result("transmission")).items() if drawn}
 

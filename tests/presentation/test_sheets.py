@@ -409,6 +409,17 @@ def test_an_assembly_is_drawn_where_its_parts_are_seen(tmp_path, monkeypatch):
     assert "assembly, crank angle 0 deg" in pages(written(about, tmp_path / "c.dxf", content="sheet"))[0].words
 
 
+def test_a_traced_point_is_named_in_the_assembly_and_small_paper_is_used(tmp_path):
+    """The foot of a leg; on A4 the assembly, at no smaller scale than its own, and the parts list are sheets of their own."""
+    a3 = pages(written(of("path-crank-rocker"), tmp_path / "a.dxf", content="sheet"))
+    a4 = pages(written(of("path-crank-rocker", {"parts.paper": "A4"}), tmp_path / "b.dxf", content="sheet"))
+    point = next(one for one in a3[0].texts if one.text == "P")
+    assert np.min(np.linalg.norm(a3[0].centres - point.box.mean(axis=0), axis=1)) < 12.0
+    assert {tuple(np.round(page.border[1] - page.border[0])) for page in a4} == {(267.0, 190.0)}
+    assert "notes" in a3[0].words
+    assert ("notes" in a4[0].words, "notes" in a4[1].words) == (False, True)
+
+
 def test_a_frame_that_is_turned_on_its_sheet_says_so(tmp_path):
     """The frame of a Stephenson III linkage is higher than wide in the assembly, that of a crank-rocker is level."""
     words = {word for page in pages(written(of("stephenson-iii"), tmp_path / "a.dxf", content="sheet")) for word in page.words}

@@ -64,7 +64,7 @@ def test_seeds_agree_on_a_poor_fit_and_report_an_incomplete_search() -> None:
     assert result.evidence.missed > MISSED_CHANCE
     notes = [note for note in result.notes if note.startswith("search incomplete: ")]
     assert len(notes) == 1
-    assert f"search with {4 * result.starts} starts" in notes[0]
+    assert f"search with starts={4 * result.starts}" in notes[0]
 
 
 @pytest.mark.slow

@@ -27,10 +27,11 @@ COINCIDENT = 1e-6  # distance of coincident points, as a share of the extent
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A dimensioned drawing as SVG, and its description in words."""
+    """A dimensioned drawing as SVG, its description in words, and what stands below it."""
 
     svg: str
     words: str
+    caption: str
 
 
 @dataclass(frozen=True)
@@ -66,11 +67,14 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
     words += sorted(circles)
     driving = cycle.problem.model.driving
     place = f"{driving.noun} of {_deg(at) if driving.ends is None else f'{_mm(driving.shown(at))} mm'}"
+    caption = f"Drawn at a {place}; lengths in mm, an angle is that through which a link moves."
     described = f"{title}, drawn at a {place}. Dimensions in mm: {'; '.join(words)}."
     for name in drawn.moving:
         if np.all(np.isfinite(drawn.points[name][0])):
             sheet.label(drawn.points[name][0], name)
-    return Drawing(svg(drawn, described, traces=False, names=False, box=sheet.place(), dimensions=sheet.drawn), described)
+    return Drawing(
+        svg(drawn, described, traces=False, names=False, box=sheet.place(), dimensions=sheet.drawn), described, caption
+    )
 
 
 def clearest(cycle: Analysis) -> float:

@@ -197,12 +197,14 @@ def _json(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> 
 def _cutting(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> Sequence[str]:
     """Write the parts for laser cutting."""
     from optlink.presentation.export.cutting import WRITERS
+    from optlink.presentation.parts.layout import engraved
 
     write = WRITERS[path.suffix.lower()]
     parts = part_set(cycle, options.hole, options.width)
     with whole(path) as temporary:
         write(parts, model.problem.model.title, temporary)
-    return parts.notes
+    bare = ", ".join(name for name, part in parts.parts.items() if engraved(part) is None)
+    return (*parts.notes, *([f"Without room for an engraved name: {bare}."] if bare else []))
 
 
 def _printing(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> Sequence[str]:
@@ -243,7 +245,8 @@ def _sheet(model: ReportModel, cycle: Analysis, path: Path, options: Options) ->
     head["title"] = head["title"] if model.valid else f"NOT VALID: {head['title']}"
     positions = cycle.machine.motion(angles)
     parts = part_set(cycle, options.hole, options.width)
-    drawn, notes = sheets(parts, cycle, positions, [f"assembly, {problem.driving.text(at)}" for at in angles], head)
+    shown = [at % TURN if cycle.full and cycle.cycle == TURN else at for at in angles]
+    drawn, notes = sheets(parts, cycle, positions, [f"assembly, {problem.driving.text(at)}" for at in shown], head)
     with whole(path) as temporary:
         WRITERS[path.suffix.lower()](drawn, head["title"], temporary)
     return notes

@@ -86,8 +86,8 @@ def content_of(studied: StoredStudy, steps: int, *, brief: bool = False) -> Page
     file, moving, sections = studied.problem, moving_of(studied, steps), drawn(studied.sections)
     if moving is not None:
         picked = any(isinstance(part, Chart) and part.draw for section in sections for part in section.parts)
-        shown = [] if picked else [PageSection("Dimensions", (dimensioned(moving.cycle, file.model.title),))]
-        caption = [Paragraph(studied.drawn, lead=True)] if studied.drawn else []
+        shown = [] if picked else [_dimensions(moving, file.model.title)]
+        caption = [Paragraph(text, lead=True) for text in (studied.drawn, *_datum(moving)) if text]
         shown.append(PageSection("Linkage in motion", (*caption, moving)))
         sections[studied.after : studied.after] = shown
     return PageContent(studied, arrange(sections, closing_sections(file, studied.by)), moving)
@@ -96,9 +96,20 @@ def content_of(studied: StoredStudy, steps: int, *, brief: bool = False) -> Page
 def _brief_content(studied: StoredStudy, steps: int) -> PageContent:
     moving, sections = moving_of(studied, steps), list(studied.sections)
     if moving is not None:
-        drawing = dimensioned(moving.cycle, studied.problem.model.title)
-        sections[:0] = [PageSection("Dimensions", (drawing,)), PageSection("Motion", (moving,))]
+        drawing = _dimensions(moving, studied.problem.model.title)
+        sections[:0] = [drawing, PageSection("Motion", (*map(Paragraph, _datum(moving)), moving))]
     return PageContent(studied, sections, moving, brief=True)
+
+
+def _dimensions(moving: Moving, title: str) -> PageSection:
+    drawing = dimensioned(moving.cycle, title)
+    return PageSection("Dimensions", (drawing, Paragraph(drawing.caption)))
+
+
+def _datum(moving: Moving) -> list[str]:
+    """Return from where the crank angle of a moving linkage is measured, in a sentence; none of other drives."""
+    datum = moving.cycle.problem.model.driving.datum
+    return [f"Crank angles are measured from {datum}, counter-clockwise."] if datum and moving.stops.turn else []
 
 
 def moving_of(studied: StoredStudy, steps: int) -> Moving | None:

@@ -18,6 +18,7 @@ from optlink.presentation.parts.solids import polygon
 from optlink.presentation.parts.view import FIRST, SAME, Item, Line, Words, box, circle, letters, segment
 
 BALLOON = 4.5  # radius
+CROSS = 4.0  # half the arm of the cross at a point that is no joint
 GRID = 41  # places for the tip of a balloon in each direction
 COARSE = 11  # the same where positions of the assembly are compared
 STEP = 0.5  # distance of the points at which the edges of an assembly are hidden or not
@@ -67,6 +68,11 @@ def assembly_view(
         own = things[f"pin {pin.name}"]
         if any(True for _ in _visible(own.edges[0], [other for other in things.values() if other.level > own.level])):
             seen.append((pin.name, own.core[0], own.reach))  # a letter alone would be that of the part that hides it
+    for name, part in parts.parts.items():
+        for mark, place in part.marks.items():
+            tip = factor * placed(at, name, place[None])[k, 0]
+            items += [replace(segment(tip - arm, tip + arm), style="centre") for arm in CROSS * np.eye(2)]
+            seen.append((mark, tip, CROSS))
     items += letters(seen, items)
     low = box(items)[0]
     return *items, Words(caption, low - [0.0, FIRST], align="left")

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from optlink.presentation.parts.model import FlatPart, distance
 MARGIN = 0.4  # distance of two parts, as a share of the width of a link
 LETTER_WIDTH = 0.65  # width of a letter in heights
 LETTERS = 0.4  # height of a name as a share of the width of its link
+SAVING = 0.95  # share of the rectangle round a part from which turning the part is worth it
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,8 @@ class Engraved:
 
 
 def laid_out(parts: Iterable[FlatPart]) -> Sheet:
-    """Arrange parts in rows, the deepest first, on a sheet about as high as it is wide."""
-    boxes = [(part, *part.corners) for part in parts]
+    """Arrange parts in rows, the deepest first, on a sheet about as high as it is wide; each lies along it if that saves room."""
+    boxes = [(part, *part.corners) for part in map(_lying, parts)]
     gap = MARGIN * max(part.width for part, *_ in boxes)
     area = sum(float(np.prod(high - low + gap)) for _, low, high in boxes)
     wide = max(1.2 * math.sqrt(area), *(float((high - low)[0]) + 2.0 * gap for _, low, high in boxes))
@@ -55,6 +56,27 @@ def laid_out(parts: Iterable[FlatPart]) -> Sheet:
         x += float((high - low)[0]) + gap
         deep, right = max(deep, float((high - low)[1])), max(right, x)
     return Sheet(tuple(placed), np.array([right, y + deep + gap]))
+
+
+def _lying(part: FlatPart) -> FlatPart:
+    """Return a part turned to the smallest rectangle round it, its longer side along the sheet; as it is if none is smaller."""
+    best, least = part, SAVING * float(np.prod(np.subtract(*part.corners)))
+    corners = np.array([vertex[:2] for vertex in part.outline])
+    for way in np.roll(corners, -1, axis=0) - corners:
+        for along in (way, np.array([-way[1], way[0]])):
+            turned = _turned(part, along / np.linalg.norm(along))
+            low, high = turned.corners
+            if np.prod(high - low) < least and (high - low)[0] >= (high - low)[1]:
+                best, least = turned, SAVING * float(np.prod(high - low))
+    return best
+
+
+def _turned(part: FlatPart, along: Array) -> FlatPart:
+    """Return a part turned so that a direction (2,) of it lies along the sheet."""
+    axes = np.array([along, [-along[1], along[0]]]).T
+    openings = tuple(replace(one, ends=one.ends @ axes) for one in part.openings)
+    marks = {name: at @ axes for name, at in part.marks.items()}
+    return replace(part, openings=openings, marks=marks, origin=part.origin @ axes, along=part.along @ axes)
 
 
 def engraved(part: FlatPart) -> Engraved | None:

@@ -82,7 +82,7 @@ def part_view(
     left, bottom = box(items)[0]
     turned = round(math.degrees(math.atan2(turn[1, 0], turn[0, 0])), 2)
     way = "counter-clockwise" if turned > 0.0 else "clockwise"
-    words = [f"{caption}   {scale_text(factor)}", *remarks]
+    words = [f"{caption}   {scale_text(factor)}", *(line for one in remarks for line in textwrap.wrap(one, LINE))]
     words += [f"turned by {number(abs(turned))}° {way} from the assembly"] if part.name == FRAME and turned else []
     words += [] if part.reach or bar else textwrap.wrap(_corners(part, outline, factor), LINE)
     for k, text in enumerate(words):

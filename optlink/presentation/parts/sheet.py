@@ -120,31 +120,36 @@ def sheets(
     levels = layers.layers if layers else {name: k for k, name in enumerate(parts.parts)}
     least = min(one.diameter for part in parts.parts.values() for one in part.openings)
     listed = [*_parts_list(entries, " ".join(notes))]
-    rows = math.ceil(float(np.ptp(box(listed), axis=0)[1]) / ROW)
+
+    papers = [paper for paper in PAPERS if cycle.problem.model.made.paper in (None, paper)]
+    apart = papers == [*PAPERS][:1]  # the smallest paper has no room for an assembly and its parts list
+    rows = 0 if apart else math.ceil(float(np.ptp(box(listed), axis=0)[1]) / ROW)
 
     def areas(paper: str) -> tuple[Array, Array]:
         return _above(paper, rows), _beside(paper)
 
     def scale(size: Array) -> float:
-        free = [end - begin for paper in PAPERS for begin, end in areas(paper)]
+        free = [end - begin for paper in papers for begin, end in areas(paper)]
         fitting = (factor for factor in _scales(least) if any(np.all(one >= factor * size + AROUND) for one in free))
         return next(fitting, 0.0)
 
     k = clearest(parts, levels, at, scale)
     assembly = functools.partial(assembly_view, parts, levels, [one.members for one in entries], at, k, captions[k])
-    first, paper = _fitting(assembly, least, areas, "the assembly", parts.file)
-    pages = [(paper, [View(first.factor, moved(listed, _corner(paper))), first])]
+    first, paper = _fitting(assembly, least, papers, areas, "the assembly", parts.file)
+    table = View(first.factor, moved(listed, _corner(paper)))
+    pages = [(paper, [first]), (paper, [table])] if apart else [(paper, [table, first])]
     tolerances, views, large = dict(_tolerances(parts, cycle)), list[View](), 0
     for k, (entry, part) in enumerate(zip(entries, parts.parts.values(), strict=False), 1):
         remarks = filter(None, ("   ".join(filter(None, (entry.size, entry.material))), part.note))
         draw = functools.partial(part_view, part, f"{k}  {part.name}", [*remarks], tolerances)
         least = min(one.diameter for one in part.openings)
-        view, paper = _fitting(draw, least, lambda paper: (_above(paper),), part.name, parts.file)
+        view, paper = _fitting(draw, least, papers, lambda paper: (_above(paper),), part.name, parts.file)
         views.append(view)
-        large = max(large, [*PAPERS].index(paper))
-    tried = [(paper, _pages(paper, views)) for paper in [*PAPERS][large:]]
-    paper, sides = min(tried, key=lambda one: len(one[1]))
-    pages += [(paper, side) for side in sides]
+        large = max(large, papers.index(paper))
+    tried = [_pages(paper, views) for paper in papers[large:]]
+    for side in min(tried, key=len):
+        packed = ((paper, _pages(paper, side)) for paper in papers if _holds(paper, side))
+        pages.append(next((paper, alone) for paper, (alone, *more) in packed if not more))
     made = []
     for k, (paper, page) in enumerate(pages, 1):
         drawn = itertools.chain.from_iterable(view.items for view in page)
@@ -270,19 +275,32 @@ def _scales(hole: float) -> tuple[float, ...]:
     return SCALES[SCALES.index(largest) :]
 
 
+def _holds(paper: str, views: Iterable[View]) -> bool:
+    """Return whether each of several views fits on a paper."""
+    room = np.ptp(_above(paper), axis=0) + SAME
+    return all(np.all(np.ptp(view.box, axis=0) <= room) for view in views)
+
+
 def _fitting(
-    draw: Callable[[float], tuple[Item, ...]], hole: float, areas: Callable[[str], Iterable[Array]], name: str, file: str
+    draw: Callable[[float], tuple[Item, ...]],
+    hole: float,
+    papers: Sequence[str],
+    areas: Callable[[str], Iterable[Array]],
+    name: str,
+    file: str,
 ) -> tuple[View, str]:
     """Return a view in the middle of a free area, at the largest scale at which it fits, and its paper."""
     for factor in _scales(hole):
         view = View(factor, draw(factor))
         low, high = view.box
-        for paper in PAPERS:
+        for paper in papers:
             for begin, end in areas(paper):
                 if np.all(end - begin >= high - low):
                     return View(factor, moved(view.items, 0.5 * (begin + end - low - high))), paper
     raise InputError(
-        f"the drawing of {name} does not fit on an A3 sheet", "Write the parts without dimensions: --content parts", file
+        f"the drawing of {name} does not fit on an {papers[-1]} sheet",
+        "Write the parts without dimensions: --content parts",
+        file,
     )
 
 

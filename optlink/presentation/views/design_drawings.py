@@ -117,6 +117,8 @@ def beside_curve(view: DesignView) -> Figure:
     left, right = fig.subplots(1, 2, width_ratios=widths)
     labels, what = [*initial_pose(left, view), *close.draw(right, view.factor)], words_of(view.design).spot
     at = f"{what} {view.first + 1}: crank at {degrees(float(view.design.crank_angles[view.first]))}"
+    datum = view.design.whole.driving.datum
+    at += f" from {datum}" * bool(datum)
     left.set_title(wrapped([at, *map(" ".join, modes(view.design).items())], widths[0] - 0.6, ", ", SMALL), fontsize=SMALL)
     right.set_title(heading(f"{what}s and generated curve", widths[1] - 0.6, SMALL), fontsize=SMALL)
     handles, names = right.get_legend_handles_labels()

@@ -35,6 +35,7 @@ from optlink.units import DISPLAYED
 
 MIN_LENGTH = 1e-8  # m, least length that is shown
 WORSE = 1e-6  # deg by which a transmission angle must be nearer to 180 deg than another one to 0 to be the worse
+FINEST = 1e-5  # deviation from points, as a share of their extent, below which a sentence has no figures
 MAX_POINTS = 12  # largest number of points listed on a terminal; result.json and points.csv contain all
 
 
@@ -131,6 +132,10 @@ class _Points(Words):
             texts.append(f"at most {f'{100.0 * used:.3g} % of' if used < 10.0 else f'{used:.3g} times'} the tolerance")
         return texts
 
+    def captions(self, design: LinkageDesign) -> list[str]:
+        within = _within(design.measured.distances, design.task.size)
+        return super().captions(design) if design.exact or "(" in within else [f"distance: at most {within}"]
+
     def targets(self, design: LinkageDesign) -> TableSpec:
         measured, targets, between = design.measured, design.task.data.columns, design.between
         step = max(1, math.ceil(len(targets) / MAX_POINTS))
@@ -164,9 +169,17 @@ class _Points(Words):
 
     def achieved(self, design: LinkageDesign) -> str:
         distances = design.measured.distances
-        rms, most = si(rms_of(distances), "m"), si(np.max(distances), "m")
         rest = f"; {pretty(design.way_back.text)}" if design.way_back is not None else ""
-        return f"the linkage passes the {len(distances)} prescribed points within {most} (root mean square {rms}){rest}"
+        spots = f"{self.spot}s of the path" if design.task.target_points.sampled else f"prescribed {self.spot}s"
+        within = _within(distances, design.task.size)
+        return f"its point {design.task.point} passes the {len(distances)} {spots} within {within}{rest}"
+
+
+def _within(distances: Array, size: float) -> str:
+    """Return the largest of some distances [m] and their root mean square; nearer than anyone can make it, a bound of both."""
+    finest, most = 10.0 ** math.ceil(math.log10(FINEST * size)), float(np.max(distances))
+    stated = f"{figure(1e3 * most, 'mm')} (root mean square {figure(1e3 * rms_of(distances), 'mm')})"
+    return figure(1e3 * finest, "mm") if most < finest else stated
 
 
 class _Poses(_Points):
@@ -255,11 +268,10 @@ def sentence(design: LinkageDesign) -> str:
     exact = "the linkage meets every prescribed position exactly"
     clauses = [exact] if design.exact else [words_of(part).achieved(part) for part in design.parts]
     if isinstance(design.fit, PathFit) and design.fit.grade != design.fit.at_points:
-        clauses[0] += f", but deviates by {si(design.fit.excursion, 'm')} between {design.fit.segment}"
+        segment = design.fit.segment.replace("-", "−")
+        clauses[0] += f", but deviates by up to {figure(1e3 * design.fit.excursion, 'mm')} on the way between {segment}"
     clauses = [*filter(None, clauses)]
-    low, high = np.degrees(design.transmission_range)
-    flat, least = from_flat(low, high), transmission(design)
-    least = f"largest transmission angle {figure(high, 'deg')}{flat}" if flat else least
+    least = transmission(design)
     text = "; ".join([*clauses, least] if least and clauses else clauses or [f"the {least}"] * bool(least))
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 
@@ -281,8 +293,11 @@ def measure(design: LinkageDesign) -> str:
 
 def transmission(design: LinkageDesign) -> str:
     """Format the worst transmission angle; empty if there is none."""
-    least = math.degrees(design.least_transmission)
-    return f"least transmission angle {figure(least, 'deg')}" if math.isfinite(least) else ""
+    low, high = np.degrees(design.transmission_range)
+    if not math.isfinite(low):
+        return ""
+    flat = from_flat(low, high)
+    return f"{'largest' if flat else 'smallest'} transmission angle {figure(high if flat else low, 'deg')}{flat}"
 
 
 def from_flat(low: float, high: float) -> str:

@@ -202,11 +202,11 @@ def fitting(value: float, unit: Scale) -> Scale:
 
 
 def with_verdict(design: LinkageDesign | None, refuted: str = "") -> tuple[ProblemFile, str] | None:
-    """Return the machine of a design with its verdict; None if there is none, or if it has no cycle although only that counts."""
+    """Return a design as a problem with its verdict; None if there is none, or if it has no cycle although only that counts."""
     if design is None or (design.whole.of_cycle and design.analysis is None):
         return None
     why = refuted or why_invalid(design.validation.checks, design.status.text)
-    return design.machine, verdict(design.status.value, design.valid, why)
+    return design.as_problem, verdict(design.status.value, design.valid, why)
 
 
 def sizes(view: DesignView) -> list[str]:
@@ -219,6 +219,7 @@ def sizes(view: DesignView) -> list[str]:
         return []
     lengths = {name: values[name] * unit.factor for name in names if task.quantities[name].kind != "angle"}
     texts = [f"{name} {f'{lengths[name]:z.{unit.decimals}f}' if name in lengths else degrees(values[name])}" for name in names]
+    texts = [text.replace(" -", " −") for text in texts]
     return [f"in {unit.unit}: {texts[0]}", *texts[1:]]
 
 

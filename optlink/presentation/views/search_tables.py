@@ -355,7 +355,8 @@ def _influences(rounding: Rounding) -> TableSpec | None:
         (limit, one.size, number(one.change, 3), one.unit, f"{'' if one.one_sided else '+- '}{number(one.room, 3)}")
         for limit, one in largest.items()
     ]
-    return table("What half a step changes most", ["limit", "size", ">changes it by", "", ">it admits"], rows) if rows else None
+    columns = ["limit", "size", ">changes it by", "", ">may change by"]
+    return table("What half a step changes most", columns, rows) if rows else None
 
 
 def reached(outcome: SynthesisResult, evidence: Evidence) -> str:

@@ -59,6 +59,8 @@ class PartsSection(LinkPart, JointPart):
     """Thickness of the washers between two layers of links; default: about a fifth of the diameter of the holes."""
     overtravel: FixedLength | None = None
     """Length of a slot beyond the travel of its pin, at each end; default: about a quarter of the diameter of the holes."""
+    paper: Literal["A4", "A3"] | None = None
+    """Paper of the workshop sheets; default: of each the smaller one that has room at the largest scale."""
     links: dict[Name, LinkPart] = Field(default_factory=dict)
     """Links that differ from the others, by name; `frame` is the plate with the fixed pivots."""
     joints: dict[Name, JointPart] = Field(default_factory=dict)

@@ -485,6 +485,12 @@ class LinkageDesign(Summary):
         return started(fixed, *self.rotation, self.swing) if self.whole.parts else fixed
 
     @property
+    def as_problem(self) -> ProblemFile:
+        """The problem with every size and angle fixed, which `optlink.validate` checks; its crank starts as required."""
+        fixed = fixed_design(self.problem, self.values, checked=True)
+        return started(fixed, *self.rotation) if self.whole.parts else fixed
+
+    @property
     def assembly(self) -> object:
         """Assembly modes, in the words of the problem file."""
         return self.problem.raw["mechanism"].get("assembly", "left")
