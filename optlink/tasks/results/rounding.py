@@ -40,7 +40,7 @@ class Rounding:
 
     `steps`: step or stock of every rounded size, in words; `optimum` [SI] and `objective` without rounding; `naive`: the
     objective with the nearest values of the grid, `naive_valid`: whether that design is valid. `solved`: programmes solved;
-    `whole`: whether the whole grid was searched, so that a better design on it needs another local optimum. `finer`: the number
+    `whole`: whether every part of the grid was searched, so that a better design needs another local optimum. `finer`: the number
     by which the steps must be divided, of those tried, where no design is valid; `needed`: the tolerances with which the nearest
     design would meet its limits.
     """
@@ -82,7 +82,7 @@ class Rounding:
             if self.needed:
                 ways.append("allow " + ", ".join(f"{name} {value}" for name, value in self.needed.items()))
             return f"no valid design was found on a grid of {self.text}" + (f"; {', or '.join(ways)}" if ways else "")
-        found = "the whole grid was searched" if self.whole else "the grid was searched near the optimum, not all of it"
+        found = "every part searched locally" if self.whole else "the grid was searched near the optimum, not all of it"
         share = self.loss(objective)
         digits = min(max(1 - math.floor(math.log10(abs(100.0 * share))), 0), 4) if share and math.isfinite(share) else 0
         of = f" of {optimum}" if share > TOLD else ""
