@@ -40,7 +40,7 @@ class Rounding:
 
     `steps`: step or stock of every rounded size, in words; `optimum` [SI] and `objective` without rounding; `naive`: the
     objective with the nearest values of the grid, `naive_valid`: whether that design is valid. `solved`: programmes solved;
-    `whole`: whether every part of the grid was searched, so that a better design needs another local optimum. `finer`: the number
+    `whole`: whether the whole grid was searched, so that a better design on it needs another local optimum. `finer`: the number
     by which the steps must be divided, of those tried, where no design is valid; `needed`: the tolerances with which the nearest
     design would meet its limits.
     """
