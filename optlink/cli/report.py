@@ -20,6 +20,7 @@ from optlink.io import head
 if TYPE_CHECKING:
     from optlink.presentation.report_model import ReportModel
     from optlink.presentation.view import StoredStudy
+    from optlink.problem.file import ProblemFile
 
 SCHEMA = "optlink/written/1"
 Words = list[str] | None
@@ -116,14 +117,12 @@ def export(
         content,
     )
     with console.working("Reading or solving the problem"):
-        about = _report_model(source, output, (backend, starts, seed), changes, design)
+        about = _report_model(source, output, (backend, starts, seed), changes, design, at)
         interrupts.check()
     from optlink.presentation.interface import single_design
 
     model = single_design(about, source)
-    needed = "angle" if model.problem.model.driving.ends is None else "coordinate"
-    if at is not None and kind != needed:  # a fault of the unit
-        console.quantity(at, needed, "--at")
+    _check_unit(model.problem, at)
     if not (model.valid or even_invalid):
         _refuse(model, as_json)
     for note in write(model, output, options):
@@ -137,6 +136,7 @@ def _report_model(
     search: tuple[str, int | None, int],
     changes: Words,
     design: Words,
+    at: str | None = None,
 ) -> ReportModel | StoredStudy:
     """Return the subject of the command: a stored result, or a problem with its solution."""
     from optlink.presentation.files import is_result
@@ -157,7 +157,13 @@ def _report_model(
         console.refuse({"--set": other}, "a result already contains its problem", remedy, text)
         return stored_page(read_result(text), facts, text)
     file = console.load(text, changes)
+    _check_unit(file, at)
     return report_model_of(solve_or_validate(file, *search, console.read_design_option(file, design)))
+
+
+def _check_unit(problem: ProblemFile, at: str | None) -> None:
+    """Refuse a position in a unit that is not that of the drive."""
+    console.quantity(at, "angle" if problem.model.driving.ends is None else "coordinate", "--at")
 
 
 def _refuse(about: ReportModel, as_json: bool) -> None:

@@ -116,6 +116,7 @@ def _output(
     from optlink.tasks.protocol import completed
 
     driving = file.model.driving
+    check_choice("--quantity", output, output_names(file.model.linkage), "unknown output", file.file)
     if driving.mechanism.limits is not None and angles == DEFAULT_ANGLES:
         crank = np.linspace(*driving.mechanism.limits, 12)
     else:
@@ -124,8 +125,6 @@ def _output(
     if not design and file.model.free and file.task != "path" and file.task != "cycle":
         design = completed(solve(file)).design
     sizes = file.model.sizes(design or {})
-    names = output_names(file.model.linkage)
-    check_choice("--quantity", output, names, "unknown output", file.file)
     result = OutputStudy(file, output, sizes, crank)
     found = result.derivatives
     if out is not None:

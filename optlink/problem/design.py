@@ -473,7 +473,11 @@ class DesignProblem(Problem):
         These are linked quantities, the start angle of the crank at a dead centre, and the output there if a law starts from it.
         """
         known = super().complete(values)
-        full = {name: known[name] for name in self.quantities}
+        return self.derive({name: known[name] for name in self.quantities})
+
+    def derive(self, full: Mapping[str, Value]) -> dict[str, Value]:
+        """Return quantities [SI] with the start angle of the crank and the output there in place of those of other sizes."""
+        full = dict(full)
         for part in self.each:
             derived = part.requirement.derived(part, part.own(full))
             prefix = part.prefix if self.requirements else ""

@@ -444,7 +444,8 @@ class DyadsSection(Section):
         links = list(self._links())
         body = driver if drives else driver or ("crank" if "crank" in self.links else None)
         if body is None:
-            raise Unusable("no body is driven", f"Add [drive] body, one of: {', '.join(self.links)}", "drive.body")
+            other = f", or cylinder, one of: {', '.join(self.cylinders)}" if self.cylinders else ""
+            raise Unusable("no body is driven", f"Add [drive] body, one of: {', '.join(self.links)}{other}", "drive.body")
         if body:
             check_name(body, self.links, "no such body", "drive.body")
         points = [

@@ -107,6 +107,15 @@ class _Search:
         """Return the rounded sizes [SI] of a solution."""
         return [v.value(float(solution.x[k])) for v, k in zip(self.variables, self.at, strict=True)]
 
+    def boxed(self, low: Array, high: Array, start: Solution) -> Solution:
+        """Return the optimum in a box of the grid, near another one or, where none is found, near its middle."""
+        end = self.within(low, high, start)
+        if end.usable:
+            return end
+        x = start.x.copy()
+        x[self.at] = [v.scaled(value) for v, value in zip(self.variables, 0.5 * (low + high), strict=True)]
+        return self.within(low, high, replace(start, x=x))
+
     def within(self, low: Array, high: Array, start: Solution) -> Solution:
         """Return the optimum with the sizes between two bounds [SI], near another one."""
         x_low, x_high = self.nlp.x_low.copy(), self.nlp.x_high.copy()
@@ -134,8 +143,8 @@ class _Search:
             end = self.within(fixed, fixed, start)
             if self.tried and len(sizes) > FEW and not end.usable:
                 return end.x
-        values, angles = solved_values(self.task, end.design, end.x)
-        values = self.task.complete({**values, **dict(zip(self.grids, map(float, sizes), strict=True))})
+        design = {**end.design, **dict(zip(self.grids, map(float, sizes), strict=True))}
+        values, angles = solved_values(self.task, design, end.x)  # the crank angles may follow from the sizes
         angles = in_first_cycle(self.task, angles)
         checked = validate(self.task, values, angles)
         made = LinkageDesign(self.design.problem, values, angles, checked.objective, Status.ROUNDED, checked)
@@ -195,7 +204,7 @@ class _Search:
                 box[1 - side][j] = end
                 if not math.isfinite(end) or box[0][j] > box[1][j] + ON_GRID * grid.width(sizes[j]):
                     continue
-                solution = self.within(box[0], box[1], node.solution)
+                solution = self.boxed(box[0], box[1], node.solution)
                 if solution.usable and not self._worse(solution.objective):
                     heapq.heappush(open_nodes, _Node((solution.objective, next(count)), box[0], box[1], solution))
             if progress:

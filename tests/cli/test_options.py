@@ -267,3 +267,26 @@ def test_an_option_is_refused_before_any_search(words, key, monkeypatch):
     assert done.exit_code == 2, done.output
     assert done.stderr.startswith("Error: ")
     assert key in done.stderr
+
+
+TOLERANCE = ["study", "tolerance", "crank-rocker", "--tolerance"]
+BEFORE_A_SEARCH = [
+    [*TOLERANCE, "crank=0.1"],
+    [*TOLERANCE, "crnk=0.1 mm"],
+    [*TOLERANCE, "crank=0.1 mm", "--quantity", "rocket"],
+    [*TOLERANCE, "crank=0.1 mm", "--angles", "0 deg"],
+    [*TOLERANCE, "crank=0.1 mm", "--quantity", "rocker", "--limit", "5 mm"],
+    [*TOLERANCE, "crank=0.1 mm", "--limit", "2 deg", "--allocate", "99 %", "--cost", "rocker=2"],
+    ["study", "sensitivity", "crank-rocker", "--quantity", "rocket"],
+    ["export", "crank-rocker", "-o", "drawing.dxf", "--at", "50 mm"],
+]
+
+
+@pytest.mark.parametrize("words", BEFORE_A_SEARCH, ids=" ".join)
+def test_an_option_is_refused_before_a_search(words, monkeypatch):
+    def searched(*_, **__):
+        raise AssertionError
+
+    monkeypatch.setattr("optlink.tasks.protocol.DesignTask.solve", searched)
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 2, done.output

@@ -293,6 +293,16 @@ def test_pdf_pages_are_the_sheets_at_true_size(name, sheet_of, tmp_path):
     assert data == written(about, tmp_path / "b.pdf", content="sheet").read_bytes()
 
 
+@pytest.mark.slow
+def test_a_machine_of_forty_metres_is_drawn_at_scales_at_which_it_fits(tmp_path):
+    """Scales at which it cannot fit are not tried: at true size its drawing took tens of gigabytes."""
+    lengths = {"crank": "9.5 m", "coupler": "31 m", "rocker": "22.25 m", "frame": "37 m"}
+    about = report_model_of(optlink.analyze(optlink.read({"mechanism": {"type": "four-bar", **lengths}})))
+    words = [word for page in pages(written(about, tmp_path / "a.dxf", content="sheet")) for word in page.words]
+    scales = {match[2]: match[3] for word in words if (match := STATED.fullmatch(word))}
+    assert scales == {"frame": "1:200", "coupler": "1:100", "rocker": "1:100", "crank": "1:50"}
+
+
 def test_what_the_file_states_is_printed(tmp_path):
     """Facts of the title block, fits, materials and tolerances of the lengths; nothing of them where nothing is stated."""
     facts = {"company": "Example Works", "author": "A. Designer", "part": "W-17", "revision": "B", "date": "2026-01-02"}
@@ -306,6 +316,7 @@ def test_what_the_file_states_is_printed(tmp_path):
         assert {*facts.values(), "轴 and 连杆"} <= {*page.words}
     words = {word for page in sheets for word in page.words}
     assert {"400 ±0.1", "400", "2× Ø20 H7", "Ø20 H8", "t = 10   S235JR", "t = 10   C45", "Material", "C45"} <= words
+    assert not any(word.endswith("…") for word in words)  # sizes of pins and heads have room beside materials
     bare = {word for page in pages(written(of("crank-rocker"), tmp_path / "b.dxf", content="sheet")) for word in page.words}
     assert {"2× Ø20", "t = 10"} <= bare
     assert not {"Material", "H7"} & bare

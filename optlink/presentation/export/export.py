@@ -21,6 +21,7 @@ from optlink.presentation.shapes import plain
 from optlink.problem.file import check_plausible
 from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range, nearest
 from optlink.tasks.analyze import MAX_POINTS, Analysis, analyze
+from optlink.tasks.results.design import LinkageDesign
 
 SCHEMA = "optlink/geometry/1"
 FORCES = ("_N", "_Nm", "_J", "_W")
@@ -237,7 +238,7 @@ def _sheet(model: ReportModel, cycle: Analysis, path: Path, options: Options) ->
     """Write the workshop sheets; those of a design that is not valid say so in their title."""
     from optlink.presentation.export.workshop import WRITERS
     from optlink.presentation.html.shell import letterhead
-    from optlink.presentation.parts.sheet import sheets
+    from optlink.presentation.parts.sheet import permitted, sheets
 
     angles = spread(cycle) if options.at is None else [place_of(cycle, options.at)]
     problem = model.problem.model
@@ -246,10 +247,20 @@ def _sheet(model: ReportModel, cycle: Analysis, path: Path, options: Options) ->
     positions = cycle.machine.motion(angles)
     parts = part_set(cycle, options.hole, options.width)
     shown = [at % TURN if cycle.full and cycle.cycle == TURN else at for at in angles]
-    drawn, notes = sheets(parts, cycle, positions, [f"assembly, {problem.driving.text(at)}" for at in shown], head)
+    captions = [f"assembly, {problem.driving.text(at)}" for at in shown]
+    drawn, notes = sheets(parts, cycle, positions, captions, head, [*_exceeded(model, permitted(parts, cycle))])
     with whole(path) as temporary:
         WRITERS[path.suffix.lower()](drawn, head["title"], temporary)
     return notes
+
+
+def _exceeded(model: ReportModel, tolerances: Mapping[str, float]) -> Iterator[str]:
+    """Yield the note about limits of a valid design that sizes within the tolerances [m] of the sheets could violate."""
+    from optlink.studies.tolerances.general import violations
+
+    best = getattr(model.result, "best", None)
+    if model.valid and isinstance(best, LinkageDesign) and (found := violations(best, tolerances)):
+        yield f"Sizes at the ends of the tolerances of these sheets may violate limits: {'; '.join(map(str, found))}."
 
 
 def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:

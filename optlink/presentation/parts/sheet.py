@@ -4,7 +4,7 @@ import functools
 import itertools
 import math
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Array
 from optlink.presentation.parts.assembly import AROUND, assembly_view, clearest
 from optlink.presentation.parts.layers import Stacked, stacked
-from optlink.presentation.parts.model import PartSet, number
+from optlink.presentation.parts.model import FlatPart, PartSet, number
 from optlink.presentation.parts.part_view import part_view
 from optlink.presentation.parts.view import (
     GAP,
@@ -31,6 +31,7 @@ from optlink.presentation.parts.view import (
     width,
 )
 from optlink.problem.tolerances import CONTACT
+from optlink.studies.tolerances.general import GENERAL, general_tolerance
 from optlink.tasks.analyze import Analysis
 
 PAPERS = {"A4": np.array([297.0, 210.0]), "A3": np.array([420.0, 297.0])}
@@ -39,9 +40,8 @@ LOW, HIGH = np.array([20.0, 10.0]), np.array([10.0, 10.0])  # margins of the bor
 ROOM = 5.0  # between border, views and tables
 SMALLEST = 3.0  # diameter of a hole on paper below which its part is enlarged
 LABEL = 1.8  # height of the letters that name a cell
-TOLERANCE = "ISO 2768-m"
 ROW = 6.0  # height of a row of the parts list
-COLUMNS = {"Pos.": 12.0, "Qty": 10.0, "Name": 50.0, "Size": 50.0, "Layer": 25.0, "Material": 33.0}
+COLUMNS = {"Pos.": 12.0, "Qty": 10.0, "Name": 46.0, "Size": 60.0, "Layer": 16.0, "Material": 36.0}
 BLOCK = (
     (9.0, {"general tolerance": 60.0, "unit": 25.0, "scale": 35.0, "paper": 25.0, "sheet": 35.0}),
     (9.0, {"part": 60.0, "revision": 25.0, "author": 60.0, "date": 35.0}),
@@ -93,13 +93,13 @@ class _Row:
 
 
 def sheets(
-    parts: PartSet, cycle: Analysis, at: Motion, captions: Sequence[str], head: Mapping[str, str]
+    parts: PartSet, cycle: Analysis, at: Motion, captions: Sequence[str], head: Mapping[str, str], further: Sequence[str] = ()
 ) -> tuple[list[Sheet], tuple[str, ...]]:
     """Return the sheets of parts: the assembly at one of the positions of `at`, with its caption, then the parts by their scales.
 
     The second result are the notes that stand on the first sheet.
 
-    `head`: facts of the title block by name: title, company, author, part, revision, date.
+    `head`: facts of the title block by name: title, company, author, part, revision, date; `further` notes.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def sheets(
         If a part has more dimensions than a sheet has room for.
     """
     layers: Stacked | None = None
-    notes = parts.notes
+    notes = (*parts.notes, *further)
     try:
         layers = stacked(parts)
         notes = (*notes, f"Layers are {number(parts.pitch)} mm apart.")
@@ -135,15 +135,14 @@ def sheets(
 
     k = clearest(parts, levels, at, scale)
     assembly = functools.partial(assembly_view, parts, levels, [one.members for one in entries], at, k, captions[k])
-    first, paper = _fitting(assembly, least, papers, areas, "the assembly", parts.file)
+    first, paper = _fitting(assembly, parts.parts.values(), papers, areas, "the assembly", parts.file)
     table = View(first.factor, moved(listed, _corner(paper)))
     pages = [(paper, [first]), (paper, [table])] if apart else [(paper, [table, first])]
     tolerances, views, large = dict(_tolerances(parts, cycle)), list[View](), 0
     for k, (entry, part) in enumerate(zip(entries, parts.parts.values(), strict=False), 1):
         remarks = filter(None, ("   ".join(filter(None, (entry.size, entry.material))), part.note))
         draw = functools.partial(part_view, part, f"{k}  {part.name}", [*remarks], tolerances)
-        least = min(one.diameter for one in part.openings)
-        view, paper = _fitting(draw, least, papers, lambda paper: (_above(paper),), part.name, parts.file)
+        view, paper = _fitting(draw, [part], papers, lambda paper: (_above(paper),), part.name, parts.file)
         views.append(view)
         large = max(large, papers.index(paper))
     tried = [_pages(paper, views) for paper in papers[large:]]
@@ -162,20 +161,33 @@ def moved(items: Iterable[Item], shift: Array) -> tuple[Item, ...]:
     return tuple(item.moved(shift) for item in items)
 
 
-def _tolerances(parts: PartSet, cycle: Analysis) -> Iterator[tuple[tuple[str, str, int], str]]:
-    """Yield the tolerances of lengths and coordinates that the problem states, by part, joint and axis."""
-    mechanism = cycle.machine.mechanism
+def permitted(parts: PartSet, cycle: Analysis) -> dict[str, float]:
+    """Return the tolerances [m] of sizes on the sheets: that of the problem, else the general one of the dimension drawn."""
+    stated = {one.size: one.tolerance for one in cycle.problem.model.deviations if one.shape != CONTACT and not one.values}
+    drawn = {size: 1e-3 * general_tolerance(length) for *_, size, length in _dimensions(parts, cycle)}
+    return {size: stated.get(size, by) for size, by in drawn.items() if size in stated or by}
+
+
+def _dimensions(parts: PartSet, cycle: Analysis) -> Iterator[tuple[str, str, int, str, float]]:
+    """Yield the dimensions that are sizes of the linkage: part, joint, axis, name of the size, and length [mm]."""
+    mechanism, values = cycle.machine.mechanism, cycle.machine.sizes
     sizes: list[tuple[str, str, Iterable[Size]]] = [(link.body, link.end, (link.length,)) for link in mechanism.links]
     sizes += [(mark.body, mark.name, (mark.along, mark.across)) for mark in mechanism.marks.values()]
-    for name, place in mechanism.ground.items():
-        if isinstance(place, Arm):
-            sizes.append((FRAME, name, (place.length,)))
-        elif not parts.parts[FRAME].note:
-            sizes.append((FRAME, name, place))
-    for (part, joint, places), one in itertools.product(sizes, cycle.problem.model.deviations):
+    sizes += [(FRAME, name, (place.length,) if isinstance(place, Arm) else place) for name, place in mechanism.ground.items()]
+    for part, joint, places in sizes:
+        origin = parts.parts[FRAME].origin if part == FRAME and len(list(places)) > 1 else np.zeros(2)
         for axis, size in enumerate(places):
-            if one.size == size and one.shape != CONTACT and not one.values:
-                yield (part, joint, axis), f" ±{number(1e3 * one.tolerance)}"
+            if isinstance(size, str):
+                yield part, joint, axis, size, abs(1e3 * float(values[size]) - float(origin[axis]))
+
+
+def _tolerances(parts: PartSet, cycle: Analysis) -> Iterator[tuple[tuple[str, str, int], str]]:
+    """Yield the tolerances of lengths and coordinates that the problem states, by part, joint and axis."""
+    turned = bool(parts.parts[FRAME].note)  # its dimensions are not the coordinates
+    for (part, joint, axis, size, _), one in itertools.product(_dimensions(parts, cycle), cycle.problem.model.deviations):
+        coordinate = part == FRAME and not isinstance(cycle.machine.mechanism.ground[joint], Arm)
+        if one.size == size and one.shape != CONTACT and not one.values and not (turned and coordinate):
+            yield (part, joint, axis), f" ±{number(1e3 * one.tolerance)}"
 
 
 def _entries(parts: PartSet, layers: Stacked | None) -> Iterator[Entry]:
@@ -223,7 +235,7 @@ def _frame(paper: str, page: Sequence[View], count: str, head: Mapping[str, str]
     for high, row in BLOCK:
         x = _corner(paper)[0]
         for label, wide in row.items():
-            facts = {"general tolerance": TOLERANCE, "unit": "mm", "scale": scale, "paper": paper, "sheet": count, **head}
+            facts = {"general tolerance": GENERAL, "unit": "mm", "scale": scale, "paper": paper, "sheet": count, **head}
             yield from _cell(label, facts.get(label, ""), np.array([x, y]), np.array([wide, high]))
             x += wide
         y += high
@@ -269,10 +281,11 @@ def _beside(paper: str) -> Array:
     return np.array([LOW + ROOM, [_corner(paper)[0] - ROOM, PAPERS[paper][1] - HIGH[1] - ROOM]])
 
 
-def _scales(hole: float) -> tuple[float, ...]:
-    """Return scales from the largest one: a view is enlarged only as far as its hole [mm] needs."""
+def _scales(hole: float, extent: float = 0.0) -> tuple[float, ...]:
+    """Return scales from the largest one: a view is enlarged only as far as its hole [mm] needs, and an extent [mm] fits."""
     largest = min((factor for factor in SCALES if factor >= 1.0 and factor * hole >= SMALLEST), default=SCALES[0])
-    return SCALES[SCALES.index(largest) :]
+    most = float(np.linalg.norm(PAPERS["A3"]))
+    return tuple(factor for factor in SCALES if factor <= largest and factor * extent <= most)
 
 
 def _holds(paper: str, views: Iterable[View]) -> bool:
@@ -283,14 +296,15 @@ def _holds(paper: str, views: Iterable[View]) -> bool:
 
 def _fitting(
     draw: Callable[[float], tuple[Item, ...]],
-    hole: float,
+    parts: Collection[FlatPart],
     papers: Sequence[str],
     areas: Callable[[str], Iterable[Array]],
     name: str,
     file: str,
 ) -> tuple[View, str]:
-    """Return a view in the middle of a free area, at the largest scale at which it fits, and its paper."""
-    for factor in _scales(hole):
+    """Return a view of parts in the middle of a free area, at the largest scale at which it fits, and its paper."""
+    holes = [one.diameter for part in parts for one in part.openings]
+    for factor in _scales(min(holes), max(float(np.ptp(part.core, axis=0).max()) for part in parts)):
         view = View(factor, draw(factor))
         low, high = view.box
         for paper in papers:

@@ -39,7 +39,7 @@ from optlink.problem.quantity import (
     write,
 )
 from optlink.problem.targets.expression import MOST_REVOLUTIONS
-from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
+from optlink.problem.tolerances import Deviation, ToleranceEntry, Tolerances, deviations, with_deviating_pivots
 from optlink.units import display_unit
 
 if TYPE_CHECKING:
@@ -390,10 +390,14 @@ class Problem(Section):
         Unusable
             whose key is the name of the dimension.
         """
+        return self.deviating(self.tolerances, self.loaded)
+
+    def deviating(self, tolerances: Mapping[str, ToleranceEntry], output: str) -> tuple[Deviation, ...]:
+        """Return the deviations of given tolerances, whatever the design; see `deviations`."""
         quantities = self.mechanism.quantities
         mechanism, pivots = with_deviating_pivots(self.mechanism, self.linkage)
         largest = {name: quantity.value if quantity.low is None else quantity.bounds[1] for name, quantity in quantities.items()}
-        return deviations(self.tolerances, mechanism, quantities, largest | pivots, output=self.loaded)
+        return deviations(tolerances, mechanism, quantities, largest | pivots, output=output)
 
     @property
     def loaded(self) -> str:

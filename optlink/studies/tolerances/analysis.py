@@ -22,14 +22,14 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Source, entries
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
-from optlink.problem.quantity import check_choice, nearest
+from optlink.problem.quantity import check_choice
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES
 from optlink.studies.tolerances import robust_design
 from optlink.studies.tolerances.allocation import Allocation, allocate
 from optlink.studies.tolerances.monte_carlo import CHUNK, LinearAnalysis, MonteCarlo, Progress, linear_analysis, monte_carlo
-from optlink.studies.tolerances.nominal import ERROR, nominal_design
+from optlink.studies.tolerances.nominal import ERROR, judged, nominal_design
 from optlink.studies.tolerances.robust_design import YIELD, RobustDesign, check_targets, maximise_yield
-from optlink.studies.tolerances.sampling import identified, read_deviations, read_tolerances, stated
+from optlink.studies.tolerances.sampling import check_tolerances, identified, read_deviations, stated
 from optlink.tasks.machine import check_design
 from optlink.units import DISPLAYED, UnitProblem, parse, read_number
 
@@ -232,14 +232,15 @@ def tolerance(
     problem = problem_of(problem)
     tolerances = stated(problem, tolerances) if isinstance(tolerances, Mapping) else tolerances
     _check(samples, seed, shape, target_yield, limit)
-    read_tolerances(problem, tolerances, shape)  # before a search
-    if output in (None, ERROR) and getattr(problem.model, "parts", None):
-        _limit(limit, problem.spec.parts[0].unit)
+    if robust is not None:
+        check_targets(problem)
+    loaded, unit = judged(problem.model, output, crank_angles, problem.file)
+    check_tolerances(problem, tolerances, costs or {}, loaded, shape)  # before a search
+    _limit(limit, unit)
     sizes = check_design(problem, design)
     with _processes(samples, known_here(problem, execution)) as runs:
         file, robust_result = problem, None
         if robust is not None:
-            check_targets(problem)
             if design is not None or output not in (None, ERROR):
                 remedy = "Leave --design and --quantity out, or --robust"
                 raise InputError("a robust design is searched, for its error", remedy, problem.file, "--robust")
@@ -247,13 +248,6 @@ def tolerance(
             file, sizes = robust_result.result.problem, robust_result.free  # with a definite assembly mode
         nominal = nominal_design(file, output, crank_angles, sizes)
         deviations = read_deviations(problem, nominal, tolerances, shape)
-        for name, cost in (costs or {}).items():
-            if not 0.0 < cost < math.inf:
-                raise InputError(
-                    "a cost coefficient must be above zero", "Give for example --cost coupler=2", key=f"--cost {name}"
-                )
-            if name not in [d.name for d in deviations]:
-                raise InputError("no such tolerance", nearest(name, [d.name for d in deviations]), key=f"--cost {name}")
         first = linear_analysis(problem, nominal, deviations, _limit(limit, nominal.unit))
         if not np.any(first.by):
             remedy = "Choose another one: a body stands for its angle, P.x and P.y for the position of a point"

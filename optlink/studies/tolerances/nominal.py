@@ -152,27 +152,43 @@ def nominal_design(
     By default the output is the error of the first requirement: over the span of a motion law, at the points or poses, over the
     revolution of a transmission; of several dyads, that of the worst one.
     """
+    judged(problem.model, output, crank_angles, problem.file)
     file, values, angles = _design(problem, design)
     model: Any = file.model
     mechanism, pivots = with_deviating_pivots(model.mechanism, model.linkage)
     sizes = {name: values[name] for name in model.mechanism.quantities} | pivots
-    errors = [name for part in model.parts for name in error_names(part)]
-    names = [*errors, *output_names(mechanism)]
-    if output is None and not errors:
-        raise InputError("the output to analyse is missing", f"One of: {', '.join(names)}", problem.file, "--quantity")
-    if output is not None:
-        check_choice("--quantity", output, names, "unknown output", problem.file)
-    if output is None or output in errors:
-        if crank_angles is not None:
-            other = model.parts[0].requirement.loaded(model.parts[0]) or output_names(mechanism)[0]
-            remedy = f"Leave --angles out, or give --quantity {other}"
-            raise InputError("the error is that at the positions of the requirement", remedy, problem.file, "--angles")
+    if output is None or output in [name for part in model.parts for name in error_names(part)]:
         part, own = next((part, own) for part, own in model.of_parts(angles) if output in (None, *error_names(part)))
         drawn = [_judged(file, part, sizes, part.own(values), own, name) for name in error_names(part) if output in (None, name)]
         return max(drawn, key=lambda nominal: float(np.max(np.abs(nominal.base))))
     if crank_angles is None:
         crank_angles = _whole_motion(mechanism) if angles is None else angles
     return _placed(file, sizes, np.asarray(crank_angles, dtype=float), output)
+
+
+def judged(model: Any, output: str | None, crank_angles: Array | None, file: str) -> tuple[str, str]:
+    """Return what stands for an output in the linkage, as `Nominal.output`, and its SI unit; empty for a cosine.
+
+    Raises
+    ------
+    InputError
+        If there is no such output, or crank angles are given for an error.
+    """
+    mechanism, _ = with_deviating_pivots(model.mechanism, model.linkage)
+    errors = [name for part in model.parts for name in error_names(part)]
+    names = [*errors, *output_names(mechanism)]
+    if output is None and not errors:
+        raise InputError("the output to analyse is missing", f"One of: {', '.join(names)}", file, "--quantity")
+    if output is not None:
+        check_choice("--quantity", output, names, "unknown output", file)
+    if output is not None and output not in errors:
+        return output, "rad" if output in mechanism.bodies else "m"
+    if crank_angles is not None:
+        other = model.parts[0].requirement.loaded(model.parts[0]) or output_names(mechanism)[0]
+        remedy = f"Leave --angles out, or give --quantity {other}"
+        raise InputError("the error is that at the positions of the requirement", remedy, file, "--angles")
+    part = next(part for part in model.parts if output in (None, *error_names(part)))
+    return part.requirement.loaded(part), part.unit
 
 
 def _whole_motion(mechanism: Mechanism) -> Array:

@@ -1,5 +1,6 @@
 """Quasi-random samples of deviations, confidence intervals of a yield, and options of the tolerance command."""
 
+import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -10,7 +11,7 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import Unusable
+from optlink.problem.quantity import Unusable, nearest
 from optlink.problem.tolerances import CLEARANCE, EXAMPLE, NORMAL, Deviation, ToleranceEntry, deviations, read_tolerance
 from optlink.studies.grid import axis_of
 from optlink.studies.tolerances.nominal import Nominal
@@ -142,12 +143,40 @@ def identified(problem: ProblemFile, texts: Sequence[str], shape: str, *, robust
     return problem.override({"tolerances": {name: entry.raw for name, entry in entries.items()}})
 
 
+def check_tolerances(
+    problem: ProblemFile, texts: Sequence[str], costs: Mapping[str, float], output: str, shape: str = NORMAL
+) -> None:
+    """Refuse tolerances, and costs, before a search for the design; what depends on its sizes is checked for the largest.
+
+    `output` as in `Nominal.output`.
+
+    Raises
+    ------
+    InputError
+    """
+    entries = read_tolerances(problem, texts, shape)
+    with _named(problem, texts):
+        problem.model.deviating(entries, output)
+    for name, cost in costs.items():
+        if not 0.0 < cost < math.inf:
+            raise InputError("a cost coefficient must be above zero", "Give for example --cost coupler=2", key=f"--cost {name}")
+        if name not in entries:
+            raise InputError("no such tolerance", nearest(name, [*entries]), key=f"--cost {name}")
+
+
 def read_deviations(problem: ProblemFile, nominal: Nominal, texts: Sequence[str], shape: str = NORMAL) -> tuple[Deviation, ...]:
     """Return the deviations of a nominal linkage; see `read_tolerances`."""
     entries = read_tolerances(problem, texts, shape)
-    try:
+    with _named(problem, texts):
         quantities, output = problem.model.mechanism.quantities, nominal.output
         return deviations(entries, nominal.mechanism, quantities, nominal.sizes, shape, output)
+
+
+@contextlib.contextmanager
+def _named(problem: ProblemFile, texts: Sequence[str]) -> Iterator[None]:
+    """Name the option or the key of a tolerance that is refused."""
+    try:
+        yield
     except Unusable as error:
         key = f"{OPTION} {error.key}" if texts else f"tolerances.{error.key}"
         raise InputError(error.message, error.remedy, problem.file, key, error.value) from None

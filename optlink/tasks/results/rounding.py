@@ -82,7 +82,7 @@ class Rounding:
             if self.needed:
                 ways.append("allow " + ", ".join(f"{name} {value}" for name, value in self.needed.items()))
             return f"no valid design was found on a grid of {self.text}" + (f"; {', or '.join(ways)}" if ways else "")
-        found = "the whole grid was searched" if self.whole else "the grid was searched near the optimum, not all of it"
+        found = "every part searched locally" if self.whole else "the grid was searched near the optimum, not all of it"
         share = self.loss(objective)
         digits = min(max(1 - math.floor(math.log10(abs(100.0 * share))), 0), 4) if share and math.isfinite(share) else 0
         of = f" of {optimum}" if share > TOLD else ""
