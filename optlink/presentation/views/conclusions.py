@@ -34,7 +34,7 @@ def achieved(outcome: SynthesisResult, *, beside_initial: bool = False) -> str:
     best = outcome.best
     if best is None or outcome.conflict:
         return shown(outcome.refuted) or none_usable(outcome)
-    grid = f"Its sizes are on a grid of {outcome.rounding.text}." if outcome.rounding is not None and outcome.valid else ""
+    grid = f"The sizes are on a grid of {outcome.rounding.text}." if outcome.rounding is not None and outcome.valid else ""
     told = _compared(best, beside_initial) if best.whole.of_cycle else _sentences(_optimised(best), sentence(best))
     return _sentences(told, grid)
 

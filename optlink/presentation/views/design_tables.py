@@ -172,7 +172,7 @@ class _Points(Words):
         rest = f"; {pretty(design.way_back.text)}" if design.way_back is not None else ""
         spots = f"{self.spot}s of the path" if design.task.target_points.sampled else f"prescribed {self.spot}s"
         within = _within(distances, design.task.size)
-        return f"its point {design.task.point} passes the {len(distances)} {spots} within {within}{rest}"
+        return f"point {design.task.point} passes the {len(distances)} {spots} within {within}{rest}"
 
 
 def _within(distances: Array, size: float) -> str:
