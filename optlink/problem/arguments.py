@@ -117,7 +117,7 @@ def _fault(item: Any) -> Fault:
     message, remedy = WRONG.get(kind, (item["msg"], "See the description of the function"))
     if kind == "literal":
         message, remedy = "no such value", f"Known: {item['ctx']['expected']}"
-    if kind in ("mapping", "dict") and hasattr(item["input"], "changes"):
+    if kind == "dict" and hasattr(item["input"], "changes"):
         remedy = "Give its changes"
     if message == WRONG["is"][0] and hasattr(item["input"], "problem"):
         remedy = "Of a result give its problem, or its machine, which has the dimensions of the design"

@@ -760,7 +760,7 @@ def started(machine: ProblemFile, begin: float, way: float, ends: tuple[float, f
     if not math.isfinite(begin):
         return machine
     speed = math.copysign(machine.model.driving.pace, way) if way else machine.model.driving.pace
-    start = begin if ends else math.remainder(begin, TURN)
+    start = begin if ends or abs(begin) <= TURN else math.remainder(begin, TURN)  # counted as in tables and charts
     swing = {"drive.range": [f"{end!r} rad" for end in ends]} if ends else {}
     return machine.override({"drive.start": f"{start!r} rad", "drive.speed": f"{speed!r} rad/s", **swing})
 

@@ -139,7 +139,7 @@ def _value(formula: Formula, *arguments: Any) -> Value:
     """Return the value of a function of the user; an error names the function, and its line that fails."""
     try:
         value = formula(*arguments)
-        if value is None or isinstance(value, str | tuple | list | dict):
+        if isinstance(value, str | tuple | list | dict | None):
             given = "nothing" if value is None else f"a {type(value).__name__}"
             raise InputError(f"this function returns {given}", "Return one number", key=formula.__name__)
         return 0.0 + value

@@ -18,6 +18,7 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.presentation.html.page import page
 from optlink.presentation.registry import read_result, view_of
 from optlink.presentation.report_model import report_model_of
+from optlink.problem.file import started
 from optlink.solvers.multistart import solve_from
 from optlink.tasks.design import solve
 from optlink.tasks.run import design_task
@@ -202,6 +203,12 @@ def test_crank_angles_are_counted_from_the_first_turn():
         np.testing.assert_allclose(in_first_cycle(untimed, angles + 2.0 * np.pi * turns), angles + 2.0 * np.pi)
     np.testing.assert_allclose(in_first_cycle(untimed, angles - angles[0] - 1e-9)[0], -1e-9)  # the start, not the end of a turn
     np.testing.assert_allclose(in_first_cycle(timed, np.full(18, 7.0)), 7.0)
+
+
+@pytest.mark.parametrize(("begin", "start"), [(3.6, 3.6), (-2.0, -2.0), (7.0, 7.0 - 2.0 * np.pi)])
+def test_the_machine_of_a_design_starts_at_the_angle_of_its_table(begin, start):
+    machine = started(optlink.load("crank-rocker"), begin, 1.0)
+    assert machine.model.drive.start.value == pytest.approx(start)
 
 
 PAGE = (Path(__file__).parents[2] / "docs" / "problem-files.md").read_text(encoding="utf-8")
