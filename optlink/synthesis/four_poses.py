@@ -78,7 +78,13 @@ class DyadCurves:
         return self._placed((one, other))
 
     def row_of(self, point: complex, pivot: complex) -> float:
-        """Return the row, between whole ones too, of the dyad that is nearest to a point of the body and a pivot [m]."""
+        """Return the row, between whole ones too, of the dyad that is nearest to given joints.
+
+        Parameters
+        ----------
+        point, pivot : complex [m]
+            Point of the body at the first pose, and pivot of the frame.
+        """
         rows, step = np.arange(float(len(self.points))), 1.0
         for _ in range(CLOSER):
             points, pivots = self.between(rows)

@@ -40,6 +40,7 @@ from optlink.tasks.search import (
     DesignCollection,
     Polisher,
     designs_from_four_bar,
+    feasible,
     has_several_dyads,
     mode_of,
     no_stroke,
@@ -399,14 +400,17 @@ class SearchRounds:
             self._sampled()
             return
         kind = next((kind for kind, suits in CHEAP if suits(self.task)), None)
-        if begin is None and kind is not None and not self.task.composed:
+        if begin is None and kind is not None:
             targets = kind(self.files)
             self.exact_solutions = targets.summary
             for variant, design in targets.usable:
-                self.collection.take(polisher.from_values(variant, design.values, design.crank_angles, close=True))
+                near = polisher.from_values(variant, design.values, design.crank_angles, close=True)
+                self.collection.take(near)
                 exact = polisher.itself(variant, design.values, design.crank_angles)
                 if exact.valid:  # which the local search may leave for another exact design, and a worse one
                     self.collection.insert(exact)
+                elif not near.valid and feasible(exact).valid:
+                    self.collection.insert(feasible(exact))
                 self.given += 1
         for variant, file in enumerate(self.files):
             task = file.spec

@@ -101,6 +101,16 @@ def test_a_search_begins_with_the_exact_solutions(tmp_path):
     assert optlink.read_result(stored).exact_solutions == result.exact_solutions
 
 
+def test_a_search_for_the_least_size_begins_with_the_exact_solutions():
+    """Its own starts find no four-bar within a micrometre of the poses."""
+    file = optlink.load(POSES / "known-0.toml")
+    small = file.override({"objective": {"quantity": "total length"}, "requirement.tolerance": "1 um"})
+    result = optlink.solve(small, starts=4)
+    least = min(figures(optlink.synthesis.exact(file, by="total length")))
+    assert result.valid
+    assert 1e3 * result.objective < least + 1e-6
+
+
 def test_fewer_designs_than_asked_for_have_a_reason():
     result = optlink.solve(optlink.load(POSES / "known-0.toml"), designs=12)
     assert "12 designs asked for, 4 found: the search ended because they are all exact ones within the limits" in result.notes
