@@ -339,13 +339,11 @@ def defects(
 ) -> tuple[str, ...]:
     """Return what keeps a linkage of two dyads from passing the poses in order while the driver turns: circuit, branch, order.
 
-    Driver and follower are of any kind; see `_driven` for those that are no crank. The crank angles at which the linkage closes
-    are ranges of a cosine. A range without its ends is two circuits, one for each side of the follower; else it is one, on which
-    the side changes at the ends only, where the crank stops.
+    The driver is a crank, the follower of any kind. The crank angles at which the linkage closes are ranges of a cosine. A range
+    without its ends is two circuits, one for each side of the follower; else it is one, on which the side changes at the ends
+    only, where the crank stops.
     """
     z, turn = np.asarray(places, dtype=complex), np.asarray(angles, dtype=float)
-    if driver.kind != "RR":
-        return tuple(_driven(z, turn, driver, follower))
     rotation = np.exp(1j * (turn - turn[0]))
     pivot, begin = (complex(*part[:2]) / part[2] for part in (driver.pivot, driver.point))
     pin = z + rotation * (begin - z[0])
@@ -400,74 +398,6 @@ def _defects(phi: Array, sides: NDArray[np.bool_], ranges: Sequence[tuple[float,
     if not one_side:
         yield "branch"
     steps = np.diff(centred)
-    if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
-        yield "order"
-
-
-def _unit(part: Array) -> complex:
-    normal = complex(*part[:2])
-    return normal / abs(normal)
-
-
-def _driven(z: Complex, turn: Array, driver: Dyad, follower: Dyad) -> Iterator[str]:
-    """Yield the defects where a slider drives, by its way, or an inverted one, by the angle of the body that it turns.
-
-    A way is a straight line without ends; a position of the follower beyond its reach bounds it, on both sides or one.
-    """
-    rotation = np.exp(1j * (turn - turn[0]))
-    fixed = complex(*follower.pivot[:2]) / (follower.pivot[2] if not follower.slider else 1.0)
-    across = rotation * _unit(follower.point) if follower.inverted else np.zeros(len(z))
-    end = z if follower.inverted else z + rotation * (complex(*follower.point[:2]) / follower.point[2] - z[0])
-    no_sides = np.ones(len(z), dtype=bool)
-    if driver.slider:
-        normal = _unit(driver.pivot)
-        pin = z + rotation * (complex(*driver.point[:2]) / driver.point[2] - z[0])
-        level, way = pin[0], (pin * np.conj(1j * normal)).real
-        if follower.slider:
-            other = _unit(follower.pivot)
-            rise, reach = (1j * normal * np.conj(other)).real, float(np.abs(end - pin)[0])
-            sides = ((end - pin) * np.conj(other)).imag > 0.0
-            middle = way[0] + ((end[0] - pin[0]) * np.conj(other)).real / rise if rise else 0.0
-            ranges = [(middle - reach / abs(rise), middle + reach / abs(rise))] if rise else [(-math.inf, math.inf)]
-        else:
-            height = ((fixed - level) * np.conj(normal)).real
-            middle = (fixed * np.conj(1j * normal)).real
-            if follower.inverted:
-                near, far = float(np.mean(((fixed - pin) * np.conj(across)).real)) ** 2 - height**2, math.inf
-                sides = ((fixed - pin) * np.conj(across)).imag > 0.0
-            else:
-                coupler, rocker = float(np.abs(end - pin)[0]), float(np.abs(end - fixed)[0])
-                near, far = (coupler - rocker) ** 2 - height**2, math.sqrt(max(0.0, (coupler + rocker) ** 2 - height**2))
-                sides = ((end - pin) * np.conj(end - fixed)).imag > 0.0
-            inner = math.sqrt(max(0.0, near))
-            ranges = (
-                [(middle - far, middle - inner), (middle + inner, middle + far)] if near > 0.0 else [(middle - far, middle + far)]
-            )
-        yield from _defects_along(way, sides, ranges)
-        return
-    pivot, normal = complex(*driver.pivot[:2]) / driver.pivot[2], rotation * _unit(driver.point)
-    if follower.inverted:  # two lines of the body through two pivots: one place for each angle
-        yield from _defects(turn, no_sides, [(-math.pi, math.pi)])
-    elif follower.slider:  # at infinity where both lines are parallel
-        phi = np.angle(normal / _unit(follower.pivot))
-        yield from _defects(phi, no_sides, [(0.0, math.pi), (-math.pi, 0.0)])
-    else:
-        offset = float(np.mean(((end - pivot) * np.conj(normal)).real))
-        radius, frame = float(np.abs(end - fixed)[0]), abs(fixed - pivot)
-        sides = ((end - fixed) * np.conj(normal)).imag > 0.0
-        phi = np.angle(normal / (fixed - pivot))
-        yield from _defects(phi, sides, cosine_ranges((offset - radius) / frame, (offset + radius) / frame))
-
-
-def _defects_along(way: Array, sides: NDArray[np.bool_], ranges: Sequence[tuple[float, float]]) -> Iterator[str]:
-    """Yield the defects of positions along a straight way and on sides of the follower, for the ranges of the way."""
-    beyond, low, high = min((max(low - float(np.min(way)), float(np.max(way)) - high), low, high) for low, high in ranges)
-    if beyond > 1e-6 * float(np.ptp(way)):
-        yield "circuit"
-        return
-    if not np.all(sides == sides[0]):
-        yield "branch" if math.isfinite(low) or math.isfinite(high) else "circuit"
-    steps = np.diff(way)
     if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
         yield "order"
 
