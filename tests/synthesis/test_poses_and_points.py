@@ -287,6 +287,7 @@ def test_singular_equations_give_no_step_and_prove_nothing():
     dyads, turns, nothing = np.ones((2, 2, 4), complex), np.zeros((2, 5), complex), np.zeros(5, complex)
     assert np.all(np.isnan(homotopy.steps(dyads, turns, nothing, nothing, 3)[0]))
     assert not np.any(certificate(Problem(nothing, nothing, nothing[:3]), Roots(dyads, turns)).proven)
+    assert len(certificate(Problem(nothing, nothing, nothing[:3]), Roots(dyads[:0], turns[:0])).roots) == 0
 
 
 def test_missing_four_bars_are_told(monkeypatch):
