@@ -17,7 +17,8 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.requirements.base import pose_angles
 from optlink.problem.terms import QUANTITIES, Goal, read_words
-from optlink.synthesis.five_poses import FourBarSolution, link
+from optlink.synthesis.five_poses import ONE_CENTRE, FourBarSolution, link, special
+from optlink.synthesis.four_poses import POSES
 from optlink.synthesis.poses_and_points import four_bars
 from optlink.synthesis.start_problems import COUNTS, FIVE_POINTS
 from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, loop_of, marked
@@ -28,6 +29,7 @@ from optlink.units import count_noun
 
 SAME_POINT = 1e-10  # distance of points that are one, relative to that of others
 REPEATED_POINT = "points {} and {} are the same: infinitely many four-bars pass through the others"
+ONE_JOINT = "the body turns about one point in all poses: infinitely many four-bars have a joint there"
 NUMBERS = ("", "one", "two", "three", "four", "five", "six", "seven", "eight")
 ON_GIVEN_PIVOTS = 5  # dimensions of a four-bar with a point, besides its pivots, and conditions of as many points
 
@@ -51,6 +53,9 @@ class PosesAndPoints(FiveTargets):
             same = abs(places[i] - places[j]) <= SAME_POINT * np.max(np.abs(places - places[0]))
             if same and not (posed[i] and posed[j]):
                 return replace(counts, special=REPEATED_POINT.format(i + 1, j + 1)), ()
+        relative = (places - places[0])[posed] / np.max(np.abs(places - places[0]))
+        if poses == POSES and (sentence := special(relative, wanted)):
+            return replace(counts, special=ONE_JOINT if sentence == ONE_CENTRE else sentence), ()
         order = np.argsort(~posed, kind="stable")  # poses first
         found, back = four_bars(places[order], wanted, pivots=pivots), np.argsort(order)
         pairs = []
