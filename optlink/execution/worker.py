@@ -35,7 +35,6 @@ class ChunkTask(Protocol):
 
     def __call__(self, index: int, /) -> Any:
         """Return the result of a chunk."""
-        ...
 
 
 class ChunkResult(NamedTuple):

@@ -385,7 +385,6 @@ class Evaluator(Protocol):
 
     def __call__(self, x: Array, p: Array, multipliers: Array) -> BatchValues:
         """Evaluate the programme."""
-        ...
 
 
 class PointwiseNLP:

@@ -95,22 +95,18 @@ class Result(Protocol):
     @property
     def problem(self) -> ProblemFile:
         """The problem that it is about."""
-        ...
 
     @property
     def valid(self) -> bool:
         """Whether all checks of its kind pass: a command exits with code 0."""
-        ...
 
     @property
     def status(self) -> str:
         """How it ended, in a word or a few."""
-        ...
 
     @property
     def plots(self) -> tuple[str, ...]:
         """Names of the pictures that `plot` draws."""
-        ...
 
     @overload
     def plot(self, *, ax: Axes | None = None, angle: float | None = None) -> Axes: ...
@@ -128,11 +124,9 @@ class Result(Protocol):
         angle : float [rad], optional
             Crank angle of the linkage.
         """
-        ...
 
     def animate(self, frames: int = 48) -> FuncAnimation:
         """Return the linkage in motion, which a notebook shows."""
-        ...
 
     def to_frame(self, name: str | None = None, *, units: str = "SI") -> pandas.DataFrame:
         """Return a table as a data frame of pandas.
@@ -144,7 +138,6 @@ class Result(Protocol):
         units : "SI" or "file"
             SI, or the units of the problem file.
         """
-        ...
 
     def to_latex(
         self, buf: str | Path | TextIO | None = None, name: str | None = None, *, columns: Sequence[str] | None = None
@@ -160,11 +153,9 @@ class Result(Protocol):
         columns : sequence of str, optional
             Names of the columns.
         """
-        ...
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON document, with all of this."""
-        ...
 
     def write(self, folder: str | Path, pictures: str = "png") -> list[Path]:
         """Write the files that `--out` writes.
@@ -176,7 +167,6 @@ class Result(Protocol):
         pictures : str
             Format of the pictures: "png", "svg" or "pdf".
         """
-        ...
 
 
 class Renamed:

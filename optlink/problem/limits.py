@@ -508,11 +508,9 @@ class Moved(Protocol):
     @property
     def required(self) -> Motion:
         """The motion over which the mechanism must be assembled."""
-        ...
 
     def strokes(self) -> tuple[float, float, float]:
         """Return the swing angle of the rocker and the crank rotation of its forward and backward strokes [rad], or NaN."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -57,17 +57,14 @@ class ElementTerm(Protocol):
     @property
     def of(self) -> str | None:
         """Name of the element."""
-        ...
 
     @property
     def on(self) -> str | None:
         """Name of the body."""
-        ...
 
     @property
     def about(self) -> str | tuple[float, float] | None:
         """Reference point of a moment: a point of the frame or its coordinates [m]; None for the crank pivot."""
-        ...
 
 
 Signal: TypeAlias = Callable[[Moving, Reactions, ElementTerm], tuple[Value, ...]]

@@ -56,7 +56,6 @@ class Backend(Protocol):
 
     def __call__(self, nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
         """Minimise from x with parameters p; `track` records the iterates, `tight` requests the tightest tolerances."""
-        ...
 
 
 @dataclass(frozen=True)

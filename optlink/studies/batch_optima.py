@@ -466,16 +466,13 @@ class GridProgramme(Protocol):
     @property
     def evaluate(self) -> Evaluator:
         """Evaluates the programme."""
-        ...
 
     @property
     def kept(self) -> Index:
         """Indices of parameters."""
-        ...
 
     def problem(self, points: Index) -> BatchProblem:
         """Return the problem at points."""
-        ...
 
 
 @dataclass
