@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, TypeAlias, get_args
 
@@ -188,22 +188,21 @@ class QuantityType(Entry):
 QUANTITIES: dict[str, QuantityType] = QuantityType.registry
 
 
+def _name(term: ElementTerm, drives: Iterable[Drive]) -> str:
+    """Return the name of the drive of a term; default: the first one, or the input of a linkage without drives."""
+    return term.of or next((drive.name for drive in drives), "input")
+
+
 def _drive(moving: Moving, term: ElementTerm) -> str:
-    return term.of or linear_drives(moving.machine.mechanism)[0].name
+    return _name(term, linear_drives(moving.machine.mechanism))
 
 
 def _motor(moving: Moving, term: ElementTerm) -> str:
-    turning = turning_drives(moving.machine.mechanism)
-    return term.of or (turning[0].name if turning else "input")
-
-
-def _only(moving: Moving) -> str:
-    """Return the name of the only drive."""
-    return next((drive.name for drive in moving.machine.mechanism.drives), "input")
+    return _name(term, turning_drives(moving.machine.mechanism))
 
 
 def _power(moving: Moving, reactions: Reactions, term: ElementTerm) -> Value:
-    name = term.of or _only(moving)
+    name = _name(term, moving.machine.mechanism.drives)
     for drive in moving.machine.mechanism.drives:
         if drive.name == name:
             return reactions.efforts[name] * as_jet(drive.value(moving.pose)).rate
@@ -354,7 +353,7 @@ register(
         "drive",
         POWERED,
         lambda moving, reactions, term: (_power(moving, reactions, term),),
-        lambda record, term: record[f"{term.of or _only(record.moving)}.power_W"],
+        lambda record, term: record[f"{_name(term, record.machine.mechanism.drives)}.power_W"],
         forces=True,
         sole=True,
     ),

@@ -15,7 +15,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Effects, with_counterweight
 from optlink.dynamics.machine import Inertia, Machine, Parameters
 from optlink.dynamics.strokes import poles
-from optlink.errors import InputError, Status
+from optlink.errors import InputError, Status, given_as
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import knee
 from optlink.problem.arguments import typed
@@ -231,11 +231,8 @@ def balance(
 
 def _minimising(text: str, option: str, problem: ProblemFile) -> ProblemFile:
     """Return the problem with the objective that a text names."""
-    try:
+    with given_as(problem.file, option, text):
         return problem.override({"balance.objective": text})
-    except InputError as error:
-        fault = error.faults[0]
-        raise InputError(fault.message, fault.remedy, problem.file, option, text) from None
 
 
 def _pair(text: str, problem: ProblemFile) -> list[Term]:

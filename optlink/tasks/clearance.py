@@ -535,9 +535,6 @@ def _setting(
 
 
 def _check(revolutions: int, points: int, tolerance: float) -> None:
-    for name, number in (("revolutions", revolutions), ("points", points)):
-        if not math.isfinite(number) or int(number) != number:
-            raise InputError("not a whole number", "Give for example 360", key=name, value=number)
     check_range("revolutions", revolutions, 1, 10_000_000)
     check_range("points", points, 12, 100_000)
     if not 1e-13 <= tolerance <= 1e-4:

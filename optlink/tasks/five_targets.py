@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.linkage.bodies import FRAME, Guide, Link
@@ -128,8 +129,7 @@ class FiveTargets:
     def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
         """Return the numbers of roots, and the four-bars that they make, each with the link that is its crank."""
         task = self.task
-        points = task.data.columns
-        places = points[:, 0] + 1j * points[:, 1]
+        places = places_of(task)
         pairs: Sequence[FourBarSolution]
         if task.law_given:
             kind = "five points of a function"
@@ -138,7 +138,7 @@ class FiveTargets:
             assert task.data.offsets is not None
             kind, (found, pairs) = "five timed points", timed_paths(places, task.data.offsets)
         else:
-            angles = np.unwrap(pose_angles(points))
+            angles = np.unwrap(pose_angles(task.data.columns))
             kind, found = "five poses", dyads(places, angles)
             links = [dyad for dyad in found.real if dyad.kind == "RR"]
             pairs = [FourBarSolution(a, b, places, angles) for a in links for b in links if a is not b]
@@ -253,6 +253,12 @@ def frame_direction(task: DesignProblem) -> float:
     loop, values = loop_of(task), task.design({})
     direction = loop.guide.direction if isinstance(loop, SliderCrank) else task.frame_angle or 0.0
     return float(values[direction] if isinstance(direction, str) else direction)
+
+
+def places_of(task: DesignProblem) -> NDArray[np.complex128]:
+    """Return the target points [m] as complex numbers x + iy."""
+    columns = task.data.columns
+    return columns[:, 0] + 1j * columns[:, 1]
 
 
 def alone(task: DesignProblem, count: int) -> bool:

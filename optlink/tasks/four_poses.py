@@ -33,6 +33,7 @@ from optlink.tasks.five_targets import (
     in_words,
     loop_of,
     marked,
+    places_of,
     rises,
 )
 from optlink.tasks.results.design import SynthesisResult, of_designs
@@ -57,7 +58,7 @@ def curves_of(task: DesignProblem) -> DyadCurves | None:
     columns = task.data.columns
     if task.requirement.kind != "motion" or len(columns) != POSES or not task.target_points.posed.all():
         return None
-    return curves(columns[:, 0] + 1j * columns[:, 1], np.unwrap(pose_angles(columns)))
+    return curves(places_of(task), np.unwrap(pose_angles(columns)))
 
 
 def applies(task: DesignProblem) -> bool:
@@ -87,8 +88,7 @@ def family_of(task: DesignProblem) -> Family:
         return FunctionFamily(task.law.offsets, rises(task), task.slides)
     if task.requirement.kind == "path":
         assert task.data.offsets is not None
-        columns = task.data.columns
-        return TimedFamily(columns[:, 0] + 1j * columns[:, 1], task.data.offsets)
+        return TimedFamily(places_of(task), task.data.offsets)
     sides = _sides(task)
     assert sides is not None
     return PoseFamily(*sides)
@@ -111,8 +111,7 @@ def _sides(task: DesignProblem) -> tuple[DyadCurves, DyadCurves] | None:
     def size(part: Any) -> float:
         return float(values[part] if isinstance(part, str) else part)
 
-    columns = task.data.columns
-    places, angles = columns[:, 0] + 1j * columns[:, 1], np.unwrap(pose_angles(columns))
+    places, angles = places_of(task), np.unwrap(pose_angles(task.data.columns))
     end, one = loop.pivots[1], complex(*map(size, begin))
     if not fixed:
         backwards = loop.coupler.start != loop.pin

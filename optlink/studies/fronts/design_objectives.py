@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from optlink.errors import InputError
+from optlink.errors import InputError, given_as
 from optlink.optimization.courses import extent_of, has_position_limits
 from optlink.optimization.terms import position_rows, rows as limit_rows
 from optlink.problem.design import DesignProblem
@@ -208,11 +208,8 @@ def _termed(problem: ProblemFile, keys: dict[str, Any], number: int, name: str) 
     sense = -1 if way == "maximise" else 1
     side = "min" if sense < 0 else "max"
     asked = ParetoObjective(name, name, "", sense, f"limits.front_{number}.{side}", tuple(keys.items()))
-    try:
+    with given_as(problem.file, OPTION, name):
         read = design_problem(problem, [asked], 0, {})
-    except InputError as error:
-        fault = error.faults[0]
-        raise InputError(fault.message, fault.remedy, problem.file, OPTION, name) from None
     goal = read.spec.goals[0]
     kind = read.spec.kind(goal)
     return ParetoObjective(name, goal.words, KINDS[kind].display if kind else "", sense, asked.key, asked.term)
@@ -429,14 +426,11 @@ def epsilon_problem(
     """
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
     task = problem.spec
-    removed = {
-        name for name, limit in task.limits.named.items() if any(_is_replaced(limit, objective) for objective in objectives)
-    }
-    limits = {name: value for name, value in raw.get("limits", {}).items() if name not in removed}
-    for name in removed:
-        rest = _remaining_side(problem, name, objectives)
-        if rest is not None:
-            limits[name] = rest
+    limits = raw.get("limits", {})
+    for name, limit in task.limits.named.items():
+        if replaced := {objective.side for objective in objectives if _is_replaced(limit, objective)}:
+            rest = {key: value for key, value in limits.pop(name).items() if key not in replaced | {"exactly"}}
+            limits |= {name: rest} if rest.keys() & SIDES else {}
     for k, value in bounds.items():
         limits[objectives[k].key.split(".")[1]] = {**dict(objectives[k].term), objectives[k].side: value}
     raw["limits"] = limits
@@ -462,21 +456,8 @@ def _same_quantity(first: Term, second: Term) -> bool:
 
 def _is_replaced(limit: Limit, objective: ParetoObjective) -> bool:
     """Return whether a limit constrains the term of an objective on the side that is varied."""
-    if not objective.key:
-        return False
-    return _same_quantity(limit, objective.cycle_term) and (
-        limit.exactly is not None or getattr(limit, objective.side) is not None
-    )
-
-
-def _remaining_side(problem: ProblemFile, name: str, objectives: Sequence[ParetoObjective]) -> dict[str, Any] | None:
-    """Return the other side of a limit that is removed, or None."""
-    limit, raw = problem.spec.limits.named[name], dict(problem.raw["limits"][name])
-    raw.pop("exactly", None)
-    for objective in objectives:
-        if _is_replaced(limit, objective):
-            raw.pop(objective.side, None)
-    return raw if any(side in raw for side in SIDES) else None
+    stated = limit.exactly is not None or getattr(limit, objective.side) is not None
+    return bool(objective.key) and stated and _same_quantity(limit, objective.cycle_term)
 
 
 def cycle_figures(problem: ProblemFile, objectives: Sequence[ParetoObjective], values: Mapping[str, float]) -> tuple[float, ...]:

@@ -8,10 +8,10 @@ its limits by name, and the `objective` of the file. A design for targets has `e
 `limits.transmission_angle.max`, `mechanism.coupler.max`, and terms of its machine ("total length", "peak torque").
 """
 
-import contextlib
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.errors import InputError, Status
+from optlink.errors import InputError, Status, given_as
 from optlink.linkage.vector2d import Array
 from optlink.optimization.programme import angle_name, build
 from optlink.problem.file import ProblemFile
@@ -148,15 +148,10 @@ class EpsilonRanges(ABC):
     def _with(self, number: int, value: Raw) -> ProblemFile:
         """Return the problem with a value of the limit that constrains an objective."""
 
-    @contextlib.contextmanager
-    def _blamed(self, objective: ParetoObjective) -> Iterator[None]:
+    def _blamed(self, objective: ParetoObjective) -> AbstractContextManager[None]:
         """Attribute errors to the objective."""
         text = f"{objective.text}={objective.span}" if objective.span else objective.text
-        try:
-            yield
-        except InputError as error:
-            fault = error.faults[0]
-            raise InputError(fault.message, fault.remedy, self.problem.file, OPTION, text) from None
+        return given_as(self.problem.file, OPTION, text)
 
     def _no_end(self, objective: ParetoObjective, why: str) -> NoExtreme:
         remedy = f'Give a range: "{objective.text}=LOW..HIGH{" " + objective.unit if objective.unit else ""}"'
