@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Load, Machine, Process, slider_names
+from optlink.io import without
 from optlink.linkage.extrema import POINTS, distinct, refined_minima, zeros
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import OTHER, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke, travels
@@ -112,7 +113,7 @@ def travels_by_use(
     outputs = [f"{body} {'slides' if body in strokes else 'swings'}" for body in loaded if body in strokes or body in swings]
     last, slides = last_output(machine, swings, strokes)
     outputs = outputs or [f"{last} {'slides' if slides else 'swings'}"]
-    return {name: named[name] for name in outputs if name in named}, {n: t for n, t in named.items() if n not in outputs}
+    return {name: named[name] for name in outputs if name in named}, without(named, *outputs)
 
 
 def named_travels(machine: Machine) -> tuple[dict[str, Travel], dict[str, Travel]]:

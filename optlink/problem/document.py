@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, PlainValidator, TypeAdapter, ValidationError, WithJsonSchema
 
 from optlink.errors import InputError, UnknownName, nearest
-from optlink.io import META, SUM, Frozen, Summary, checked, finite, head, with_check_sum
+from optlink.io import META, SUM, Frozen, Summary, checked, finite, head, keeping, with_check_sum, without
 from optlink.problem.enclosed import enclosing
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.upgrades import ADDED, VERSION_OF_SCHEMAS, upgraded
@@ -349,8 +349,8 @@ class Document(Summary):
             state = adapter(type(self)).dump_python(self, context={"problem": self.problem}, exclude={"problem"}, warnings=False)
         hidden = hidden_fields(type(self))
         about = head(self.schema(), self.problem, self.status) | {"valid": self.valid, "seed": getattr(self, "seed", None)}
-        document = about | dict(entries(self)) | {name: value for name, value in state.items() if name not in hidden}
-        if below := {name: value for name, value in state.items() if name in hidden}:
+        document = about | dict(entries(self)) | without(state, *hidden)
+        if below := keeping(state, *hidden):
             document["state"] = below
         document["problem_file"] = stored_problem(self.problem)
         return with_check_sum(finite(document)) | ({META: finite(dict(self.meta))} if self.meta else {})
@@ -414,7 +414,7 @@ class Document(Summary):
             "valid": {"type": "boolean"},
             **{key.rstrip("?"): {} for key in cls.shown},
             **{name: part for name, part in parts.items() if name not in hidden and name != "problem"},
-            **({"state": _object({name: part for name, part in parts.items() if name in hidden}, added)} if hidden else {}),
+            **({"state": _object(keeping(parts, *hidden), added)} if hidden else {}),
             "problem_file": _object({key: {"type": "string"} for key in ("file", "toml")}),
             SUM: {"type": "string"},
             META: {"type": "object"},

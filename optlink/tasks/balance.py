@@ -16,7 +16,7 @@ from optlink.dynamics.counterweights import Effects, with_counterweight
 from optlink.dynamics.machine import Inertia, Machine, Parameters
 from optlink.dynamics.strokes import poles
 from optlink.errors import InputError, Status, given_as
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, max_magnitude
 from optlink.optimization.pareto_front import knee
 from optlink.problem.arguments import typed
 from optlink.problem.file import AnyProblem, ProblemFile, fixed_design, problem_of
@@ -295,8 +295,8 @@ def _disagreement(task: _Task, terms: Sequence[Term], record: MotionColumns, x: 
     worst, parameters = 0.0, x * task.programme.scales
     for term in terms:
         affine, amount = task.effects.affine(partial(amounts, term=term)), amounts(record, term)
-        size = max(float(np.max(np.abs(affine.offset))), float(np.max(np.abs(affine.matrix * parameters), initial=0.0)), 1e-300)
-        worst = max(worst, float(np.max(np.abs(affine.at(parameters) - amount))) / size)
+        size = max(max_magnitude(affine.offset), max_magnitude(affine.matrix * parameters), 1e-300)
+        worst = max(worst, max_magnitude(affine.at(parameters) - amount) / size)
     return worst
 
 

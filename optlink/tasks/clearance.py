@@ -39,7 +39,7 @@ from optlink.execution import interrupts
 from optlink.execution.options import Checkpoints
 from optlink.io import Summary
 from optlink.linkage.arguments import check_array
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, max_magnitude
 from optlink.problem.arguments import typed
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_range, input_of, nearest
@@ -147,7 +147,7 @@ class _Setting:
         if section is not None and section.regularisation is not None:
             return section.regularisation.value
         rates = self.output.ideal(self.machine.moving(np.linspace(0.0, TURN, 361)))[1]
-        return 0.1 * float(np.max(np.abs(rates)))
+        return 0.1 * max_magnitude(rates)
 
 
 @typed

@@ -1,7 +1,5 @@
 """Find all linkages that meet targets exactly: poses, points, both, timed points, or points of a function."""
 
-from __future__ import annotations
-
 import cmath
 import itertools
 import time

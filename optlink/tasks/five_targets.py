@@ -1,7 +1,5 @@
 """All linkages that meet five targets exactly: poses, timed points, or points of a function, each judged."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
+from optlink.io import keeping
 from optlink.linkage.bodies import FRAME, Guide, Link
 from optlink.linkage.dyads import RRP
 from optlink.linkage.fourbar import InnerFourBar
@@ -196,7 +195,7 @@ class FiveTargets:
                 reasons.append("rounding: small errors of its sizes move it off the targets")
             transmission = transmission if reasons else design.least_transmission
             figure, error = self._figure(design), design.largest_between if task.law_given else None
-        shown = {name: value for name, value in values.items() if name in task.quantities}
+        shown = keeping(values, *task.quantities)
         solution = ExactSolution(shown, mode, transmission, certified, tuple(reasons), figure, float(phi[0]), error)
         return _Found(solution, variant or 0, design)
 

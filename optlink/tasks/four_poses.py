@@ -1,7 +1,5 @@
 """Families of linkages that meet the targets of a problem: the best ones, curves of dyads, and the four-bar of two given ones."""
 
-from __future__ import annotations
-
 import cmath
 import math
 import time

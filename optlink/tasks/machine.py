@@ -12,7 +12,7 @@ from optlink.dynamics.strokes import SAMPLES, irregular
 from optlink.errors import InputError
 from optlink.linkage.singular import positions_text
 from optlink.linkage.stroke import Ranges, failure
-from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.linkage.vector2d import TURN, Array, Value, whole_turns
 from optlink.problem.driving import Driving
 from optlink.problem.file import ProblemFile, check_plausible
 from optlink.problem.quantity import check_choice, input_of, read_quantity
@@ -361,7 +361,7 @@ def table_angles(start: float, low: float, high: float, speed: float, ranges: Ra
         count = points if step is None else max(1, round((high - low) / step))
         return np.asarray(first + (last - first) * (np.arange(count + 1) / count), dtype=float)
     if step is None:
-        rows = points * max(1, round((high - low) / TURN))
+        rows = points * whole_turns(high - low)
         return np.asarray(start + direction * TURN * np.arange(rows + 1) / points, dtype=float)
     count = math.floor((high - low) / step * (1.0 + 1e-12))
     return np.asarray(start + direction * step * np.arange(count + 1), dtype=float)

@@ -5,8 +5,6 @@ which it divides at the size that lies farthest from the grid. The end of a node
 its local optimum is the best in its box.
 """
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import math

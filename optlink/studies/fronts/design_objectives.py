@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import InputError, given_as
+from optlink.io import without
 from optlink.optimization.courses import extent_of, has_position_limits
 from optlink.optimization.terms import position_rows, rows as limit_rows
 from optlink.problem.design import DesignProblem
@@ -366,12 +367,12 @@ def without_varied_limits(problem: ProblemFile, objectives: Sequence[ParetoObjec
         above, _, side = objective.key.rpartition(".")
         entry = problem.at(above)
         if objective.term and entry is not None:
-            rest = {key: value for key, value in entry.items() if key not in (side, "exactly")}
+            rest = without(entry, side, "exactly")
             problem = problem.override({above: rest if any(key in SIDES for key in rest) else None})
         if objective.term or objective.part >= 0:
             continue
         if above.startswith("mechanism."):
-            problem = problem.override({above: {key: value for key, value in entry.items() if key != "start"}})
+            problem = problem.override({above: without(entry, "start")})
         elif above == "limits.pressure_angle":
             problem = problem.override({above: None})
         elif entry is not None:
@@ -403,7 +404,7 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
         if limited.exactly is not None or (limited.min is not None and limited.max is not None):
             remedy = f'State the direction: "minimise {limited.words}" or "maximise {limited.words}"'
             raise InputError("the limit bounds the term on both sides", remedy, problem.file, OPTION, name)
-        raw = {key: value for key, value in problem.raw["limits"][name.removeprefix("limits.")].items() if key not in SIDES}
+        raw = without(problem.raw["limits"][name.removeprefix("limits.")], *SIDES)
         way = "maximise" if limited.max is None and limited.exactly is None else "minimise"
         return _termed(problem, {**raw, "sense": way}, number, name)
     if name in task.quantities:
@@ -429,14 +430,14 @@ def epsilon_problem(
     limits = raw.get("limits", {})
     for name, limit in task.limits.named.items():
         if replaced := {objective.side for objective in objectives if _is_replaced(limit, objective)}:
-            rest = {key: value for key, value in limits.pop(name).items() if key not in replaced | {"exactly"}}
+            rest = without(limits.pop(name), *(replaced | {"exactly"}))
             limits |= {name: rest} if rest.keys() & SIDES else {}
     for k, value in bounds.items():
         limits[objectives[k].key.split(".")[1]] = {**dict(objectives[k].term), objectives[k].side: value}
     raw["limits"] = limits
     terms = [term for k, reference in goals.items() for term in _objective_terms(problem, objectives[k], reference)]
     single = [k for k in goals if len(goals) == 1 and objectives[k].key]
-    raw["objective"] = {key: v for key, v in terms[0].items() if key != "scale"} if single else {"terms": terms}
+    raw["objective"] = without(terms[0], "scale") if single else {"terms": terms}
     return problem.with_tables(raw)
 
 

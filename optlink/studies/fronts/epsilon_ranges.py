@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optlink.errors import InputError, Status, given_as
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite
 from optlink.optimization.programme import angle_name, build
 from optlink.problem.file import ProblemFile
 from optlink.problem.rounding import NO_GRID
@@ -341,7 +341,7 @@ class _CycleRanges(EpsilonRanges):
 
     def reference(self, base: ProblemFile, once: Once) -> tuple[str, tuple[float, ...] | None]:
         figures = cycle_figures(self.problem, self.objectives, {})
-        return "initial machine", figures if np.all(np.isfinite(figures)) else None
+        return "initial machine", figures if all_finite(figures) else None
 
     def _with(self, number: int, value: Raw) -> ProblemFile:
         return epsilon_problem(self.problem, self.objectives, {self.first: 1.0}, {number: value})
@@ -361,7 +361,7 @@ class _CycleRanges(EpsilonRanges):
             if start and result.status is not Status.OPTIMAL:
                 result = completed(targets.solve(task, self.backend))
             measured = cycle_figures(problem, objectives, result.design)
-            if result.status not in (Status.OPTIMAL, Status.STALLED) or not np.all(np.isfinite(measured)):
+            if result.status not in (Status.OPTIMAL, Status.STALLED) or not all_finite(measured):
                 raise self._no_end(objectives[k], result.status.text)
             return {"sizes": dict(result.design), "figures": list(measured)}  # validated or not: it only defines the range
 

@@ -1,7 +1,5 @@
 """Common interface of search results: validity, optimality checks, JSON document."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Protocol, Self, TypeVar
