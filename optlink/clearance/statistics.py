@@ -83,7 +83,7 @@ class Statistics:
         drive, ideal_column = closed_loop.equations.drive, f"{output.name}.ideal_{output.unit}"
         # the ideal output is that at the nominal crank angle; with a driving torque at the actual one
         angle = closed_loop.start + closed_loop.nominal * time if drive.torque is None else np.asarray(record.motion.crank.value)
-        ideal = np.broadcast_to(np.asarray(output.ideal(closed_loop.equations.machine.moving(angle))[0]), time.shape)
+        ideal = np.broadcast_to(output.ideal(closed_loop.equations.machine.moving(angle))[0], time.shape)
         rows = {name: column.values for name, column in columns.items()}
         rows |= {ideal_column: ideal, output.error: output.difference(np.asarray(output.of(record.motion)), ideal)}
         self.meanings = {name: column.meaning for name, column in columns.items()} | {

@@ -427,7 +427,7 @@ class EquationsOfMotion:
             moving = geared.scaled(speeds, 0.0, ways)
             return moving, required_torque(moving, geared)[0]
         torque = self.torque(angles, speeds)
-        accelerations = np.array(np.broadcast_to(np.asarray(crank_acceleration(geared, speeds, torque, ways)), angles.shape))
+        accelerations = np.array(np.broadcast_to(crank_acceleration(geared, speeds, torque, ways), angles.shape))
         if resting:
             accelerations[-1] = 0.0
         return geared.scaled(speeds, accelerations, ways), torque
@@ -660,8 +660,8 @@ class _Integration:
             times,
             angles,
             speeds,
-            np.broadcast_to(np.asarray(moving.motion.crank_acceleration, dtype=float), angles.shape),
-            np.broadcast_to(np.asarray(torque, dtype=float), angles.shape),
+            np.broadcast_to(moving.motion.crank_acceleration, angles.shape),
+            np.broadcast_to(torque, angles.shape),
             ways,
             works,
             kinetic,

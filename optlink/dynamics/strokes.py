@@ -28,7 +28,7 @@ def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[flo
 
     def rates(angles: Array) -> Array:
         velocities = load.reversing(machine.moving(angles))
-        return np.broadcast_to(np.asarray(0.0 if velocities is None else velocities[0], dtype=float), angles.shape)[None, :]
+        return np.broadcast_to(0.0 if velocities is None else velocities[0], angles.shape)[None, :]
 
     cycle = machine.mechanism.cycle
     count = GRID * round(cycle / TURN)
@@ -240,7 +240,7 @@ def _grows(machine: Machine, load: Process, speed: float, at: Array) -> NDArray[
     """Return whether the magnitude of a load grows without bound towards crank angles (n,), from either side."""
     beside = at[:, None, None] + BESIDE * np.array([[-1.0], [1.0]])
     values = load.magnitude(load.known(machine.moving(beside.ravel(), speed)))
-    size = np.abs(np.broadcast_to(np.asarray(values, dtype=float), beside.size).reshape(beside.shape))
+    size = np.abs(np.broadcast_to(values, beside.size).reshape(beside.shape))
     steps = np.diff(size, axis=-1)
     grows = (steps[..., -1] > GROWTH * np.abs(steps[..., 0])) & (steps[..., -1] > ROUNDING * size[..., -1])
     return np.asarray(np.any(grows, axis=1))

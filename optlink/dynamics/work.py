@@ -146,7 +146,7 @@ class Work:
     def torque(self, angles: Array) -> Array:
         """Return the driving torque [N m] at crank angles (n,)."""
         torque = reactions(self.machine.moving(angles, self.speed)).torque
-        return np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
+        return np.broadcast_to(torque, angles.shape)
 
     @property
     def rms_torque(self) -> float:

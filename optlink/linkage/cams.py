@@ -160,7 +160,7 @@ class Arm:
         """Return the direction across the line from the arm's pivot."""
         lever = at - complex(*self.pivot)
         with np.errstate(invalid="ignore"):  # NaN of a follower that does not reach the base circle
-            return np.asarray(1j * self.side * lever / np.abs(lever))
+            return 1j * self.side * lever / np.abs(lever)
 
 
 class Touch(NamedTuple):
@@ -274,7 +274,7 @@ class CamContact:
         With a roller of radius r that of the pitch curve is radius + r; from an outer flank it is -(radius + r).
         """
         with np.errstate(divide="ignore"):
-            return np.asarray(self.advance / self.turning)
+            return self.advance / self.turning
 
     @property
     def undercut(self) -> NDArray[np.bool_]:
@@ -284,12 +284,12 @@ class CamContact:
     @property
     def along(self) -> Array:
         """Distance of the contact from the follower's point along a face [m], to the right of the normal."""
-        return np.asarray(-np.imag((self.contact - self.point) * np.conj(self.normal)))
+        return -np.imag((self.contact - self.point) * np.conj(self.normal))
 
     @property
     def lever(self) -> Array:
         """Torque that turns the cam counter-clockwise, per force of the contact along the normal [m]."""
-        return np.asarray(np.imag(np.conj(self.contact) * self.normal))
+        return np.imag(np.conj(self.contact) * self.normal)
 
 
 class CamFigures(NamedTuple):

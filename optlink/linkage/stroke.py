@@ -143,7 +143,7 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
 
     def function(angles: Array) -> Array:
         pose = mechanism.at(sizes, angles)
-        sines = [np.broadcast_to(np.asarray(group.sine(pose), dtype=float), angles.shape) for group in crossing]
+        sines = [np.broadcast_to(group.sine(pose), angles.shape) for group in crossing]
         margins = (pose.margins[group.joint] - group.least for group in mechanism.groups)
         return np.array([least_margin(pose, margins), *sines])
 

@@ -572,7 +572,7 @@ class DesignProblem(Problem):
     def meets_again(self) -> bool:
         """Whether the last point coincides with the first: only then may the crank angles coincide."""
         columns = self.data.columns
-        return bool(max_magnitude(columns[0, :2] - columns[-1, :2]) <= 1e-9 * self.size)
+        return max_magnitude(columns[0, :2] - columns[-1, :2]) <= 1e-9 * self.size
 
     @cached_property
     def centre(self) -> tuple[float, float]:

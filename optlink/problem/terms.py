@@ -230,7 +230,7 @@ def _size(x: str, y: str) -> Course:
 
 def _pin(record: MotionColumns, term: ElementTerm) -> Array:
     force = record.reactions.pin(record.moving.machine, str(term.of), term.on)
-    return np.asarray(np.hypot(*(record.full(part) for part in force)))
+    return np.hypot(*(record.full(part) for part in force))
 
 
 def _reference(moving: Moving, term: ElementTerm) -> Vector:

@@ -336,7 +336,7 @@ def tangent_space(point: NLPValues, active: Sequence[int]) -> Array:
         return unit
     _, singular, rows = np.linalg.svd(np.vstack([unit, point.jacobian])[active])
     rank = int(np.sum(singular > 1e-9 * max(singular[0], 1.0)))
-    return np.asarray(rows[rank:].T)
+    return rows[rank:].T
 
 
 def curvature(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Stationarity) -> float:

@@ -109,7 +109,7 @@ class _Setting:
             raise InputError(str(error), remedy, self.file.file, f"bodies.{error.body}") from None
         if section is not None and sampled:
             angles = self.start + math.copysign(TURN, self.nominal) * np.arange(closed_loop.samples) / closed_loop.samples
-            ideal = np.broadcast_to(np.asarray(self.output.ideal(self.machine.moving(angles))[0]), angles.shape)
+            ideal = np.broadcast_to(self.output.ideal(self.machine.moving(angles))[0], angles.shape)
             gains = Gains(section.proportional, section.integral, section.derivative, section.limit.value)
             lever = leverage(self.machine, self.output, angles, self.regularisation)
             closed_loop.controller = Controller(PID(gains, closed_loop.sample_time), ideal, lever, not self.output.guide)
@@ -421,7 +421,7 @@ def inverse_model(
             message = "expected the output at three or more equal intervals of a revolution"
             raise InputError(message, "Give an array (n,) in m or rad", key="displacement", value=f"{given.shape} array")
         angles = setting.start + math.copysign(TURN, setting.nominal) * np.arange(len(given)) / len(given)
-        ideal = np.broadcast_to(np.asarray(setting.output.ideal(setting.machine.moving(angles))[0]), angles.shape)
+        ideal = np.broadcast_to(setting.output.ideal(setting.machine.moving(angles))[0], angles.shape)
         inverse.target = inverse.target + resample(setting.output.difference(given, ideal), len(inverse.target))
     return InverseMotion(*inverse.motion(setting.regularisation, setting.bandwidth))
 

@@ -339,7 +339,7 @@ def prescribed(task: DesignProblem) -> bool:
     )
     if not suitable or task.everywhere:
         return False
-    return bool(np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12))
+    return np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12)
 
 
 def rises(task: DesignProblem) -> Array:

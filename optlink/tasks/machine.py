@@ -279,8 +279,8 @@ def check_range_reached(problem: ProblemFile, machine: Machine) -> None:
         raise InputError(message, remedy, problem.file, "drive.range", problem.at("drive.range"))
 
 
-def check_one_crank(problem: ProblemFile, machine: Machine, what: str, *, geared: bool = False, linear: bool = False) -> None:
-    """Refuse a machine with laws or several drives, and unless allowed one with couplings, or driven along a line.
+def check_one_crank(problem: ProblemFile, machine: Machine, what: str, *, linear: bool = False) -> None:
+    """Refuse a machine with laws, several drives or couplings, and unless allowed one driven along a line.
 
     Raises
     ------
@@ -293,7 +293,7 @@ def check_one_crank(problem: ProblemFile, machine: Machine, what: str, *, geared
         key = "drives" if problem.model.drives else "drive"
         remedy = "`optlink analyze` computes its motion, forces and work; or drive one crank at constant speed"
         raise InputError(f"{what} of a machine with a prescribed motion is not supported", remedy, problem.file, key)
-    if mechanism.singles and not geared and not alone:
+    if mechanism.singles and not alone:
         names = ", ".join(element.name for element in mechanism.elements)
         remedy = "`optlink analyze` computes its motion, forces and work; or leave them out"
         raise InputError(f"{what} of a machine with {names} is not supported", remedy, problem.file, "mechanism")

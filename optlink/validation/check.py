@@ -379,7 +379,7 @@ def _median(values: Array) -> Array:
     rising = np.sort(finite_or(values, np.nan), axis=-1)
     count = np.count_nonzero(np.isfinite(values), axis=-1, keepdims=True)
     low, high = (np.take_along_axis(rising, np.maximum(place, 0), axis=-1) for place in ((count - 1) // 2, count // 2))
-    return np.asarray(0.5 * (low + high))
+    return 0.5 * (low + high)
 
 
 def alignment_check(group: Dyad, single: bool, sine: ArrayLike, limits: Limits, where: str) -> Checks:

@@ -274,7 +274,7 @@ class Cycle:
         powers = [record["input.power_W"]]
         powers += [record[f"{guide}.friction_N"] * record[f"{names[guide]}.v_m_s"] for guide in self.machine.friction]
         acting = [force for load in self.machine.loads for force in load.act(moving)]
-        powers += [np.broadcast_to(np.asarray(force.power(moving.state(force.body))), points.size) for force in acting]
+        powers += [np.broadcast_to(force.power(moving.state(force.body)), points.size) for force in acting]
 
         def whole(power: Array) -> float:
             return float(np.sum(half * (power.reshape(-1, len(NODES)) @ WEIGHTS))) / self.speed
@@ -283,7 +283,7 @@ class Cycle:
         stored, gained = max_magnitude(moving.kinetic), 0.0
         if self.limits is not None:
             ends = self.machine.moving(np.array([self.low, self.high]), self.speed)
-            energy = np.broadcast_to(np.asarray(ends.kinetic + self.machine.weight(ends.state)), 2)
+            energy = np.broadcast_to(ends.kinetic + self.machine.weight(ends.state), 2)
             gained = float(energy[1] - energy[0])
         return abs(math.fsum(whole(power) for power in powers) - gained) / max(fed + stored, 1e-300)
 

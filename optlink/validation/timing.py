@@ -36,7 +36,7 @@ def passing(problem: DesignProblem, design: Mapping[str, float]) -> Array:
     if problem.data.offsets is not None or not problem.pointed:
         return problem.crank_angles(design, None)
     angles = min((_one_way(problem, design, way) for way in problem.ways), key=lambda each: each[1])[0]
-    return np.asarray(angles if problem.linkage.limits else angles - TURN * np.round(angles[0] / TURN))
+    return angles if problem.linkage.limits else angles - TURN * np.round(angles[0] / TURN)
 
 
 def _squares(problem: DesignProblem, design: Mapping[str, float], angles: Array) -> Array:

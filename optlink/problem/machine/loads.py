@@ -268,7 +268,7 @@ class RevolutionSamples:
             in_group = [gap for gap in gaps if bodies & {gap.journal, gap.bearing}]
             with np.errstate(all="ignore"):
                 gap = group.gap(pose)
-            spare = -np.broadcast_to(np.asarray(gap, dtype=float), assembled.shape)[assembled]
+            spare = -np.broadcast_to(gap, assembled.shape)[assembled]
             if not in_group or not spare.size or not np.any(spare > 0.0):
                 continue
             clearances, least = sum(gap.clearance for gap in in_group), float(np.min(spare))
@@ -283,7 +283,7 @@ class RevolutionSamples:
     def _rate(self, load: Load) -> Array:
         """Return the rate of the motion that reverses a load, at every position."""
         velocity = load.reversing(self.moving)
-        return np.broadcast_to(np.asarray(velocity[0] if velocity else 0.0, dtype=float), self.moving.motion.assembled.shape)
+        return np.broadcast_to(velocity[0] if velocity else 0.0, self.moving.motion.assembled.shape)
 
     def check_moves(self, load: Process) -> None:
         """Refuse a load that opposes a motion that does not exist.

@@ -519,7 +519,7 @@ def _path(text: str) -> list[tuple[_Curve, bool]]:
 def _ellipse(centre: complex, radii: tuple[float, float], turn: complex, begin: float, sweep: float) -> _Curve:
     def at(u: Array) -> Drawn:
         angle = begin + sweep * u
-        return np.asarray(centre + turn * (radii[0] * np.cos(angle) + 1j * radii[1] * np.sin(angle)))
+        return centre + turn * (radii[0] * np.cos(angle) + 1j * radii[1] * np.sin(angle))
 
     return at
 
