@@ -1,7 +1,5 @@
 """Find all linkages that meet targets exactly: poses, points, both, timed points, or points of a function."""
 
-from __future__ import annotations
-
 import cmath
 import itertools
 import time
@@ -10,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from optlink.errors import InputError
+from optlink.errors import InputError, given_as
 from optlink.linkage.mechanism import Arm
 from optlink.problem.arguments import typed
 from optlink.problem.design import DesignProblem
@@ -21,7 +19,7 @@ from optlink.synthesis.five_poses import ONE_CENTRE, FourBarSolution, link, spec
 from optlink.synthesis.four_poses import POSES
 from optlink.synthesis.poses_and_points import four_bars
 from optlink.synthesis.start_problems import COUNTS, FIVE_POINTS
-from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, loop_of, marked
+from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, loop_of, marked, places_of
 from optlink.tasks.four_poses import CHEAP
 from optlink.tasks.results.design import NO_SEARCH, SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolutions
@@ -39,10 +37,9 @@ class PosesAndPoints(FiveTargets):
 
     def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
         """Return the numbers of roots, and the real four-bars, each driven at either link unless the pivots are given."""
-        columns, posed = self.task.data.columns, self.task.target_points.posed
-        pivots = given_pivots(self.task) if len(columns) == ON_GIVEN_PIVOTS else None
-        places = columns[:, 0] + 1j * columns[:, 1]
-        wanted = pose_angles(columns)[posed] if posed.any() else np.zeros(1)
+        places, posed = places_of(self.task), self.task.target_points.posed
+        pivots = given_pivots(self.task) if len(places) == ON_GIVEN_PIVOTS else None
+        wanted = pose_angles(self.task.data.columns)[posed] if posed.any() else np.zeros(1)
         poses, either = len(wanted), pivots is None
         kind = f"{NUMBERS[poses]} poses and {NUMBERS[len(places) - poses]} points"
         if poses == 1:
@@ -105,12 +102,8 @@ def _ranking(problem: ProblemFile, text: str) -> Goal:
         raise InputError("not a quantity of the machine", remedy, problem.file, "--by", text)
     keys.setdefault("sense", "maximise" if keys.get("measure") == "least" else "minimise")
     weights = {} if problem.spec.requirement.limited else {"requirement.weight": 1.0, "requirement.scale": None}
-    try:
-        goal: Goal = problem.override({**weights, "objective": {"terms": [keys]}}).spec.goals[0]
-    except InputError as error:
-        fault = error.faults[0]
-        raise InputError(fault.message, fault.remedy, problem.file, "--by", text) from None
-    return goal
+    with given_as(problem.file, "--by", text):
+        return problem.override({**weights, "objective": {"terms": [keys]}}).spec.goals[0]
 
 
 def listing(problem: ProblemFile) -> type[FiveTargets] | None:
