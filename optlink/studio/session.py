@@ -11,6 +11,7 @@ from optlink.presentation.scene import regions_of
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile, load
+from optlink.problem.renaming import kinds, own_names
 from optlink.studio import design as state, dyads, forms, parts, region, solutions
 from optlink.studio.design import (
     Design,
@@ -185,6 +186,17 @@ class Session:
                 raise InputError("a value that is set on the page cannot name a file", "Write it into the problem file", key=key)
         document = self._document.with_changes(changes)
         parts.check(self._design, self._document.problem, document.problem)
+        self._commit(document)
+
+    def _rename(self, request: Mapping[str, Any]) -> None:
+        """Give a part of the linkage another name; the last design stays that of the problem."""
+        old, new, last = _text(request, "old"), _text(request, "new").strip(), self._design
+        if old == new:
+            return
+        document = self._document.renamed(old, new)
+        if last is not None:
+            values = dict(zip(document.problem.model.quantities, last.values.values(), strict=True))
+            self._design = Design(last.problem.renamed(old, new), values, crank_angles=last.crank_angles)
         self._commit(document)
 
     def _lock(self, request: Mapping[str, Any]) -> None:
@@ -483,7 +495,8 @@ class Session:
             "charts": [] if picture is None else state.charts(design, picture, problem),
         }
         if not moving:
-            message |= {"tables": forms.groups(document.problem), "names": forms.names(document.problem)}
+            message |= {"tables": forms.groups(document.problem), "names": kinds(document.problem)}
+            message["renamable"] = own_names(document.problem)
             message |= {"dyads": dyads.offered(document.problem), "solutions": solutions.offered(document.problem)}
             message["pivots"] = region.shown(document.problem)
         total = time.perf_counter()
@@ -520,6 +533,7 @@ _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
     "set": Session._set,
     "edit": Session._edit,
     "region": lambda session, request: session._change(region.changes(session._document.problem, request.get("box"))),
+    "rename": Session._rename,
     "lock": Session._lock,
     "search": Session._search,
     "undo": Session._undo,

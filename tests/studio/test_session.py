@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.presentation.toml_text import rewritten
 from optlink.problem.file import read
+from optlink.problem.toml_text import rewritten
 from optlink.studies.grid import exact_text, knobs
 from optlink.studio import design as state
 from optlink.studio.curve import curve_problem
@@ -648,3 +648,24 @@ def test_a_linked_dimension_follows_a_drag_and_is_not_dragged_itself():
         assert "rocker follows from other quantities: it equals 0.5*coupler + 3 mm" in fault["message"]
     page.ask("drag", handle="mechanism.frame", value=520.0, moving=False)
     assert saved(page).raw["mechanism"]["rocker"] == {"equals": "0.5*coupler + 3 mm"}
+
+
+def test_a_new_name_keeps_the_design_and_the_comments_and_is_undone() -> None:
+    made = Page()
+    before = made.state("new", template="stroke")
+    made.state("lock", size="rod.length", locked=True)
+    text = made.ask("save")[0]["text"]
+    states = made.ask("rename", old="rod", new="conrod")
+    assert [values(one)["conrod.length"] for one in states] == [values(before)["rod.length"]] * len(states)
+    assert states[0]["searching"]
+    assert states[-1]["status"] == "verified"
+    assert "conrod" in states[-1]["renamable"]
+    assert made.ask("save")[0]["text"] == text.replace("rod = {", "conrod = {").replace('"rod"', '"conrod"')
+    made.ask("rename", old="conrod", new="conrod")
+    assert made.state("lock", size="conrod.length", locked=False)["status"] == "verified"
+    assert made.ask("rename", old="conrod", new="A")[0]["message"].endswith(
+        "A is the name of a joint. Choose another name for the body conrod"
+    )
+    for _ in range(2):
+        made.ask("undo")
+    assert made.ask("save")[0]["text"] == text

@@ -156,7 +156,7 @@ const panel = new Panel({
   drag: (fields) => drag(fields, performance.now()),
 });
 
-const elements = new Elements((tables) => ask("edit", { tables }));
+const elements = new Elements((tables) => ask("edit", { tables }), (old, name) => ask("rename", { old, new: name }));
 const parts = new Parts({
   ask: () => live.send("parts"),
   edit: (tables) => ask("edit", { tables }),
@@ -333,7 +333,7 @@ const live = new Live(keptToken(), {
       if (refit) {
         elements.discard();
       }
-      elements.take(message.id, message.tables, message.names);
+      elements.take(message.id, message.tables, message.names, message.renamable);
     }
     fresh = fresh && !message.handles ? { ...message, handles: fresh.handles, scene: merged(message.scene, fresh.scene) } : message;
     redrawNow();
@@ -367,6 +367,7 @@ const live = new Live(keptToken(), {
     toast(sentence(message), true);
     state && panel.take(state, handles); // what was typed and refused is in the message
     state && parts.state(state);
+    elements.named();
     if (tool === "solutions") {
       solutions.refused() || choose("select");
     } else if (linkage.canvas.classList.contains("preview")) {
@@ -438,6 +439,7 @@ function choose(name) {
 for (const name of TOOLS) {
   $(`tool-${name}`).addEventListener("click", () => choose(tool === name ? "select" : name));
 }
+canvas.addEventListener("dblclick", (event) => tool === "select" && elements.edit(linkage.named(event)));
 canvas.addEventListener("pointermove", (event) => tool === "dyads" && dyads.move(event));
 view.follow((event) => tool === "draw" || tool === "region" || (tool === "dyads" && dyads.near(event) !== null) || (tool === "back" && (background.busy || background.node)) || event.target.closest?.(".handle"));
 canvas.addEventListener("pointerdown", (event) => {

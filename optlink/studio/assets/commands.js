@@ -63,6 +63,7 @@ const KEYS = [
   ["V, D, P, X, R, B", "select, draw a curve, pick dyads of four poses, list exact solutions, region of the pivots, background"],
   ["L", "links as parts with their layers, or as lines"],
   ["Esc", "give up a drag, close"],
+  ["Double-click", "rename a joint or a link"],
   ["Wheel, two fingers", "zoom; drag the empty canvas to pan"],
 ];
 $("keys-text").append(

@@ -5,6 +5,7 @@ const LAYERS = ["slot", "profile", "auxiliary", "plate", "bar", "block", "crank"
 const RAD = Math.PI / 180;
 const SIDES = [45, 135, 90, -45, -135, -90, 0, 180]; // of a joint on which its name can stand, best first [deg]
 const CLEAR = 40; // between a name and a link [deg]
+const ON = 14; // distance from a point at which the pointer is on it [px]
 const BESIDE = 36; // distance of joints whose names could be confused [px]
 const POINT = 1 / 8; // line width of one point, as a share of the height of a ground pivot
 
@@ -308,6 +309,14 @@ export class Linkage {
     const path = this.scene?.points?.[name];
     const at = path && this.mixed(path[low], path[high], share);
     return at && at[0] !== null ? at : null;
+  }
+
+  // Name of the point that the pointer is on, or of the body.
+  named(event) {
+    const [x, y] = this.view.of(event);
+    const away = (at) => at && Math.hypot(at[0] - x, at[1] - y) * this.view.scale < ON;
+    const point = Object.keys(this.scene?.points || {}).find((name) => away(this.point(name)));
+    return point ?? event.target.closest?.("[data-body]")?.dataset.body;
   }
 
   // Position of the motion at which a moving point is at a place [mm]; null if there is none.
