@@ -263,10 +263,11 @@ class Session:
         self._begin([self._curve.document], design=chosen)
 
     def _dyads(self, request: Mapping[str, Any]) -> None:
-        """Send the curves of the dyads of four poses, or the partners of a driver; a driver and a follower are a new design."""
+        """Send the curves of a family of linkages, or the partners of a driver; a driver and a follower are a new design."""
         driver, follower = request.get("driver"), request.get("follower")
         if follower is None:
-            self._answer("dyads", **dyads.curves(self._document.problem, driver))
+            if self._last is not None:
+                self._answer("dyads", **dyads.curves(self._document.problem, self._last[0], driver))
             return
         self._adopt(*dyads.joined(self._document, driver, follower))
 

@@ -40,6 +40,11 @@ class PoseFamily:
         poses = self.drivers
         return of_dyads(poses.places, poses.angles, poses.between(drivers), self.followers.between(rows))
 
+    def ends(self, driver: int | None = None) -> tuple[Complex, Complex]:
+        """Return pivots and points of the body at the first pose [m]: of all drivers, or of the partners of one."""
+        points, pivots = (self.drivers if driver is None else self.followers).dyads
+        return pivots, points
+
 
 @dataclass(frozen=True, eq=False)
 class FunctionFamily:
@@ -83,6 +88,15 @@ class FunctionFamily:
             pins * np.exp(1j * (self.inputs - self.inputs[0])), moved, np.zeros((1, 1), complex), fixed, slides=self.slides
         )
 
+    def ends(self, driver: int | None = None) -> tuple[Complex, Complex]:
+        """Return crank pins and joints of the output at the first position, of all couplers or of one.
+
+        They count from the crank pivot, along the frame of length 1 or the guide.
+        """
+        chosen = np.arange(len(self.drivers.points)) if driver is None else np.array([driver])
+        found = self.positions(chosen.astype(float), self.rows)
+        return found.pin[:, 0, 0], found.joint[:, 0, 0]
+
 
 @dataclass(frozen=True, eq=False)
 class TimedFamily:
@@ -119,6 +133,14 @@ class TimedFamily:
         """Return the four-bars of cranks (n,) and partners (m,)."""
         corners, pivots = self.drivers.between(drivers)
         return self.of_cranks(pivots, self.places[0] - corners, rows)
+
+    def ends(self, driver: int | None = None) -> tuple[Complex, Complex]:
+        """Return pivots and pins at the first point [m] of all cranks, or those of the partners of one."""
+        corners, pivots = self.drivers.dyads
+        if driver is None:
+            return pivots, pivots + self.places[0] - corners
+        found = self.positions(np.array([float(driver)]), self.rows)
+        return found.fixed[0], found.joint[0, :, 0]
 
     def of_cranks(self, pivots: Complex, cranks: Complex, rows: Array) -> Positions:
         """Return the four-bars of cranks (n,), from pivot to pin at the first point [m], and partners (m,)."""

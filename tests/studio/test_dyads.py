@@ -1,15 +1,18 @@
-"""Dyads of four poses in the studio: curves, partners and the picked four-bar as a step of the problem."""
+"""Families of linkages in the studio: curves, partners and the picked linkage as a step of the problem."""
 
 from __future__ import annotations
 
 import math
 import tomllib
+from typing import Any
 
 import pytest
+import tomli_w
 
 import optlink
 from optlink.problem.file import read
 from tests.studio.test_session import Page
+from tests.tasks.test_four_targets import function, slide, timed
 
 
 @pytest.fixture(scope="module")
@@ -60,4 +63,24 @@ def test_what_cannot_be_picked_is_refused(page: Page) -> None:
     other = Page(patient=False)
     assert not other.state("open", name="six-bar")["dyads"]
     assert not other.state("open", name="motion-3-poses")["dyads"]
-    assert "only four poses" in other.ask("dyads")[0]["message"]
+    assert "only four poses, timed points or positions" in other.ask("dyads")[0]["message"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("raw", [function(0, 4)[0], slide(0, 4)[0], timed(0)[0]], ids=["function", "slide", "timed points"])
+def test_a_picked_linkage_has_its_joints_where_the_curves_have_them(raw: dict[str, Any]) -> None:
+    """The linkage that is drawn, at its first position, is an independent check of the places of the curves."""
+    page = Page(patient=False)
+    assert page.ask("open", text=tomli_w.dumps(raw), title="targets")[0]["dyads"]
+    curves = page.ask("dyads")[0]
+    driver = curves["drives"].index(True, 70)
+    ends, follower = {"B": curves["pivots"][driver], "C": curves["points"][driver]}, 0
+    if not curves["single"]:
+        partners = page.ask("dyads", driver=driver)[0]
+        follower = partners["usable"].index(True)
+        ends = {"A": curves["pivots"][driver], "B": curves["points"][driver]}
+        ends |= {"D": partners["pivots"][follower], "C": partners["points"][follower]}
+    state = page.ask("dyads", driver=driver, follower=follower)[0]
+    assert state["status"] == "verified"
+    for name, place in ends.items():
+        assert math.dist(state["scene"]["points"][name][0], place) < 0.006  # that of the scene is rounded
