@@ -260,7 +260,9 @@ def sentence(design: LinkageDesign) -> str:
     low, high = np.degrees(design.transmission_range)
     flat, least = from_flat(low, high), transmission(design)
     least = f"largest transmission angle {figure(high, 'deg')}{flat}" if flat else least
-    text = "; ".join([*clauses, least] if least and clauses else clauses or [f"the {least}"] * bool(least))
+    text = "; ".join(
+        [*clauses, least] if least and clauses else clauses or [f"the {least.replace('angle', 'angle is')}"] * bool(least)
+    )
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 
 

@@ -2,7 +2,7 @@
 import { Background } from "./background.js";
 import { dropDown, keyboard, takeFiles } from "./commands.js";
 import { Curve } from "./curve.js";
-import { $, bytes, download, hint, sentence, setText, svg, toast } from "./dom.js";
+import { $, bytes, download, hint, sentence, setText, settled, svg, toast } from "./dom.js";
 import { Dyads } from "./dyads.js";
 import { Elements } from "./elements.js";
 import { Handles } from "./handles.js";
@@ -310,6 +310,7 @@ const busy = (on) => {
 };
 
 let link = "";
+let refused = 0; // number of the last request that was refused
 const live = new Live(keptToken(), {
   hello(message) {
     start.take(message);
@@ -328,6 +329,9 @@ const live = new Live(keptToken(), {
   },
   state(message) {
     busy(false);
+    if (message.id > refused) {
+      settled();
+    }
     search.state(message);
     if (message.tables) {
       if (refit) {
@@ -360,6 +364,7 @@ const live = new Live(keptToken(), {
   },
   fault({ id, message, faults }) {
     busy(false);
+    refused = id ?? refused;
     search.take(null);
     if (elements.refused(id, faults || [])) {
       return;

@@ -386,7 +386,7 @@ export class Linkage {
         names[k].side = side(names[k].side, [...this.directions(node.dataset.point, low), ...joints]);
         const turn = names[k].side * RAD;
         const pin = (this.radii.get(node.dataset.point) || 0) * view.scale;
-        const [dx, dy] = [(9.5 + pin + 3.6 * node.dataset.point.length) * Math.cos(turn), 4 - (18 + pin) * Math.sin(turn)];
+        const [dx, dy] = [(9.5 + pin + 3.6 * names[k].textContent.length) * Math.cos(turn), 4 - (18 + pin) * Math.sin(turn)];
         names[k].setAttribute("transform", `translate(${(x + dx).toFixed(2)} ${(y + dy).toFixed(2)})`);
       }
     });
