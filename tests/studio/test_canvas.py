@@ -852,6 +852,17 @@ def test_elements_are_changed_and_exchanged_in_forms(page, tmp_path):
     assert page.find("#toast").get_attribute("hidden") is not None  # what was refused is settled
     page.verified()
     assert "pin_of_the_first_crank" in page.text('[data-entry="mechanism.links.crank"] summary')
+    apart = page.run(
+        """const label = [...document.querySelectorAll('.names text')].find((one) => one.textContent.startsWith('pin_'));
+        const both = [label, document.querySelector('[data-point^=pin_]')], slider = document.querySelector('#crank');
+        return [...Array(12).keys()].map((k) => {
+          slider.value = (k * slider.max) / 12;
+          slider.dispatchEvent(new Event('input'));
+          const [a, b] = both.map((one) => one.getBoundingClientRect());
+          return Math.max(a.left - b.right, b.left - a.right);
+        });"""
+    )
+    assert max(apart) < 8.0  # px: the long name stands beside its joint at each position
 
 
 @pytest.mark.slow
