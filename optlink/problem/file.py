@@ -228,24 +228,6 @@ class ProblemFile:
         known = {name: content for name, content in self.files.items() if name not in anew}
         return replace(replace(self, files=known).with_tables(raw), overrides={**earlier, **changes})
 
-    @typed
-    def renamed(self, old: str, new: str) -> ProblemFile:
-        """Return a copy of the problem with another name for a body, joint, point, guide, cylinder or slot.
-
-        Parameters
-        ----------
-        old, new : str
-            Present and new name; it changes wherever the problem mentions the part.
-
-        Raises
-        ------
-        InputError
-            If there is no such part, its name cannot change, or the new name is invalid or taken.
-        """
-        from optlink.problem.renaming import renamed
-
-        return self.with_tables(tomllib.loads(renamed(dump(self), self, old, new)))
-
     def with_tables(self, raw: Mapping[str, Any]) -> ProblemFile:
         """Return the problem of other nested tables, with the same name and files."""
         return read(raw, self.name, self.file, self.folder, self.files)

@@ -11,8 +11,9 @@ from typing import Any
 
 from optlink.errors import InputError
 from optlink.linkage.bodies import FRAME
+from optlink.problem.arguments import typed
 from optlink.problem.base_model import NAME, RESERVED
-from optlink.problem.file import ProblemFile, read
+from optlink.problem.file import AnyProblem, ProblemFile, dump, problem_of, read
 from optlink.problem.terms import read_words
 from optlink.problem.toml_text import rewritten, tables
 
@@ -60,6 +61,37 @@ def own_names(problem: ProblemFile) -> list[str]:
     mechanism: Any = problem.model.mechanism
     every = mechanism.points if mechanism.by_lengths else kinds(problem)
     return [name for name in every if re.fullmatch(NAME, name) and name not in RESERVED]
+
+
+@typed
+def rename(problem: AnyProblem, old: str, new: str) -> ProblemFile:
+    """Give a body, joint, point, guide, cylinder or slot of a problem another name, wherever the problem mentions it.
+
+    Parameters
+    ----------
+    problem : ProblemFile, str or Path
+        As `load` returns it, the name of a shipped one, or the path of a problem file.
+    old : str
+        Present name of the part.
+    new : str
+        Its new name.
+
+    Returns
+    -------
+    ProblemFile
+
+    Raises
+    ------
+    InputError
+        If there is no such part, its name cannot change, or the new name is invalid or taken.
+
+    Examples
+    --------
+    >>> optlink.rename("six-bar", "slider", "ram").at("loads.process.on")
+    'ram'
+    """
+    problem = problem_of(problem)
+    return problem.with_tables(tomllib.loads(renamed(dump(problem), problem, old, new)))
 
 
 def renamed(text: str, problem: ProblemFile, old: str, new: str) -> str:

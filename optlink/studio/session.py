@@ -11,7 +11,7 @@ from optlink.presentation.scene import regions_of
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile, load
-from optlink.problem.renaming import kinds, own_names
+from optlink.problem.renaming import kinds, own_names, rename
 from optlink.studio import design as state, dyads, forms, parts, region, solutions
 from optlink.studio.design import (
     Design,
@@ -196,7 +196,7 @@ class Session:
         document = self._document.renamed(old, new)
         if last is not None:
             values = dict(zip(document.problem.model.quantities, last.values.values(), strict=True))
-            self._design = Design(last.problem.renamed(old, new), values, crank_angles=last.crank_angles)
+            self._design = Design(rename(last.problem, old, new), values, crank_angles=last.crank_angles)
         self._commit(document)
 
     def _lock(self, request: Mapping[str, Any]) -> None:

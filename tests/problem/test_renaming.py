@@ -76,7 +76,7 @@ def test_a_machine_with_other_names_moves_alike_under_the_same_forces():
     problem = first
     names = {"crank": "wheel", "C": "knee", "slider": "ram", "F": "way", "link3": "D2", "E": "pin5"}
     for old, new in names.items():
-        problem = problem.renamed(old, new)
+        problem = optlink.rename(problem, old, new)
     before, after = optlink.analyze(first), optlink.analyze(problem)
     assert after.valid
     for quantity in ("input.torque_Nm", "slider.s_m", "E.f_N", "F.normal_N"):
@@ -130,13 +130,13 @@ def test_names_that_are_units_keys_and_words_are_told_from_them():
 )
 def test_a_name_that_cannot_be_given_is_refused_in_one_sentence(name: str, old: str, new: str, words: str):
     with pytest.raises(InputError, match=re.escape(words)) as refused:
-        load(name).renamed(old, new)
+        optlink.rename(name, old, new)
     assert str(refused.value).startswith(f"{name}.toml: ")
 
 
 def test_a_default_that_is_a_name_is_written():
     problem = load("path-vline6", {"requirement.point": None})
-    assert problem.renamed("P", "foot").at("requirement.point") == "foot"
+    assert optlink.rename(problem, "P", "foot").at("requirement.point") == "foot"
     assert problem.at("requirement.point") is None
 
 
