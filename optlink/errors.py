@@ -16,7 +16,7 @@ import contextvars
 import enum
 import json
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -177,6 +177,21 @@ class InputError(OptlinkError, ValueError):
     def __reduce__(self) -> tuple[type[InputError], tuple[tuple[Fault, ...]]]:
         """Return what copies and pickles are made from."""
         return type(self), (self.faults,)
+
+
+@contextlib.contextmanager
+def given_as(file: str | None, key: str, value: object) -> Iterator[None]:
+    """Raise an error of what was made of an option as one of this key and value.
+
+    Raises
+    ------
+    InputError
+    """
+    try:
+        yield
+    except InputError as error:
+        fault = error.faults[0]
+        raise InputError(fault.message, fault.remedy, file, key, value) from None
 
 
 class UnknownName(InputError, KeyError):

@@ -20,10 +20,12 @@ import threading
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from optlink.errors import InputError, UnknownName, nearest
 from optlink.version import VERSION
+
+T = TypeVar("T")
 
 GROUP = "optlink.extensions"
 
@@ -274,6 +276,16 @@ def _lock(handle: int) -> bool:
     except OSError:  # a file system without locks
         return True
     return True
+
+
+def without(table: Mapping[str, T], *names: str) -> dict[str, T]:
+    """Return the entries of a table under all other names."""
+    return {name: item for name, item in table.items() if name not in names}
+
+
+def keeping(table: Mapping[str, T], *names: str) -> dict[str, T]:
+    """Return the entries of a table under these names, in the order of the table."""
+    return {name: item for name, item in table.items() if name in names}
 
 
 def finite(value: Any) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 
 from optlink.balancing.socp import CONSTRAINT_TOLERANCE, GAP, BalanceBound, BalancingProgramme, ConeCertificate, Price, solved
 from optlink.errors import SolverError
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, max_magnitude
 from optlink.optimization.multipliers import MultiplierSet
 from optlink.problem.terms import Term
 from optlink.units import percent
@@ -236,7 +236,7 @@ def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array) -> Array
     tangent = [programme.x[[4 * k + 3 for k in discs]] == slopes @ programme.x + levels, cp.norm_inf(programme.x - here) <= width]
     expression = sum(weight * programme.expression(measure) for measure, weight in goal)
     problem = cp.Problem(cp.Minimize(expression), [*programme.cones, *rows, *tangent])
-    reach = 0.1 * max(1.0, float(np.max(np.abs(best))))
+    reach = 0.1 * max(1.0, max_magnitude(best))
     for _ in range(ROUNDS):
         slopes.value, levels.value = (np.array(part) for part in zip(*(programme.tangent(best, k) for k in discs), strict=True))
         here.value, width.value = best, reach

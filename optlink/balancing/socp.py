@@ -18,7 +18,7 @@ from optlink.dynamics.counterweights import Counterweight, Effects, FreeSpring
 from optlink.dynamics.inverse import reactions, required_wrench
 from optlink.dynamics.machine import Machine, Parameters
 from optlink.errors import SolverError
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, max_magnitude
 from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.terms import Term, linear_drives
 from optlink.units import KINDS
@@ -300,7 +300,7 @@ class BalancingProgramme:
             affine = self.effects.affine(lambda record: amounts(record, measure))
             before = value(measure, affine.offset)
             rows, offset = affine.compressed() if measure.how == "rms" else (affine.matrix, affine.offset)
-            scale = before or float(np.max(np.abs(rows @ self.scales), initial=0.0)) or 1.0
+            scale = before or max_magnitude(rows @ self.scales) or 1.0
             self._cached_rows[measure] = before, rows * self.scales / scale, offset / scale
         return self._cached_rows[measure]
 
@@ -493,7 +493,7 @@ def _certified(data: Mapping[str, Any], raw: Any) -> ConeCertificate:
 
 def _outside(s: Array, dims: Any, *, dual: bool) -> float:
     """Return the violation of a cone: equations, nonnegative numbers, second-order cones; all but the first are self-dual."""
-    worst = 0.0 if dual or not dims.zero else float(np.max(np.abs(s[: dims.zero])))
+    worst = 0.0 if dual or not dims.zero else max_magnitude(s[: dims.zero])
     place = dims.zero + dims.nonneg
     worst = max(worst, -float(np.min(s[dims.zero : place], initial=0.0)))
     for size in dims.soc:

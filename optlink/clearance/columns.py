@@ -15,7 +15,7 @@ from optlink.dynamics.columns import Column, joint_forces
 from optlink.dynamics.inverse import GuideForce
 from optlink.dynamics.machine import Machine, Moving, Wrench, slider_names
 from optlink.linkage.mechanism import FRAME, Guide
-from optlink.linkage.vector2d import Array, Value, Vector, angle, cross, dot, minus, plus
+from optlink.linkage.vector2d import Array, Value, Vector, angle, cross, dot, max_magnitude, minus, plus, wrapped
 
 
 class ClearanceColumns:
@@ -218,7 +218,7 @@ class Output:
 
     def difference(self, value: Value, ideal: Value) -> Value:
         """Return the deviation of a value from a target [m, rad]; that of an angle is wrapped to (-pi, pi]."""
-        return value - ideal if self.guide else np.remainder(value - ideal + np.pi, 2.0 * np.pi) - np.pi
+        return value - ideal if self.guide else wrapped(value - ideal)
 
 
 def outputs(machine: Machine) -> dict[str, Output]:
@@ -272,7 +272,7 @@ class MeasuredComparison:
         without = np.asarray(self.output.difference(self.measured, self.ideal))
         for name, values in (("measured", self.difference), ("measured.ideal", without)):
             found[f"{name}.rms_{unit}"] = math.sqrt(float(np.mean(values * values)))
-            found[f"{name}.peak_{unit}"] = float(np.max(np.abs(values)))
+            found[f"{name}.peak_{unit}"] = max_magnitude(values)
             found[f"{name}.mean_{unit}"] = float(np.mean(values))
         return found
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from optlink.clearance.equations import Equations
 from optlink.clearance.joint import SLOWEST, Gap, normal_force
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite
 from optlink.symbolic import silent
 
 # Quintic Hermite interpolation between two rows: zero crossing and maximum.
@@ -383,7 +383,7 @@ class Integration:
             raise Stalled("the integrator cannot continue") from None
         if self.stop():
             raise KeyboardInterrupt
-        if not np.all(np.isfinite(states)):
+        if not all_finite(states):
             raise Stalled("the motion is no longer finite")
         return np.vstack([state, states.reshape(count, -1)]), works.reshape(count, -1)
 

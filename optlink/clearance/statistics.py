@@ -12,7 +12,7 @@ import numpy as np
 from optlink.clearance.columns import ClearanceColumns
 from optlink.clearance.control import ClosedLoop, SimulatedRevolution
 from optlink.clearance.integration import Impact, Stalled
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, max_magnitude
 
 RETAINED_REVOLUTIONS = 30
 """Number of the last revolutions whose rows stay in memory; `stream` receives the rows of all."""
@@ -83,7 +83,7 @@ class Statistics:
         drive, ideal_column = closed_loop.equations.drive, f"{output.name}.ideal_{output.unit}"
         # the ideal output is that at the nominal crank angle; with a driving torque at the actual one
         angle = closed_loop.start + closed_loop.nominal * time if drive.torque is None else np.asarray(record.motion.crank.value)
-        ideal = np.broadcast_to(np.asarray(output.ideal(closed_loop.equations.machine.moving(angle))[0]), time.shape)
+        ideal = np.broadcast_to(output.ideal(closed_loop.equations.machine.moving(angle))[0], time.shape)
         rows = {name: column.values for name, column in columns.items()}
         rows |= {ideal_column: ideal, output.error: output.difference(np.asarray(output.of(record.motion)), ideal)}
         self.meanings = {name: column.meaning for name, column in columns.items()} | {
@@ -124,7 +124,7 @@ class Statistics:
         self.count += 1
         gaps, output = self.closed_loop.equations.gaps, self.closed_loop.output
         error, torque = rows[output.error], rows["input.torque_Nm"]
-        square, peak, unit = float(np.sum(error * error)), float(np.max(np.abs(error))), output.unit
+        square, peak, unit = float(np.sum(error * error)), max_magnitude(error), output.unit
         correction = rows.get("command.correction_rad", np.zeros(1))
         self.depths = [max(both) for both in zip(self.depths, turn.depths, strict=True)]
         self.forces = [max(both) for both in zip(self.forces, turn.forces, strict=True)]
@@ -159,15 +159,15 @@ class Statistics:
         self.sums["effort"] += float(np.mean(correction * correction))
         self.sums["torque"] += float(np.mean(torque * torque))
         self.peak = max(self.peak, peak)
-        self.correction = max(self.correction, float(np.max(np.abs(correction))))
+        self.correction = max(self.correction, max_magnitude(correction))
 
     def _energy(self, record: ClearanceColumns, first: float) -> None:
         energy, works = record.energy, record.block.works
         fed = 1 + len(self.closed_loop.equations.machine.loads)
         gained = works[:, :fed].sum(axis=1) - works[:, fed:].sum(axis=1)
-        self.imbalance = max(self.imbalance, float(np.max(np.abs(energy - first - gained))))
+        self.imbalance = max(self.imbalance, max_magnitude(energy - first - gained))
         raised = record.motion.potential - self.datum
-        self.largest = max(self.largest, float(np.max(energy - record.motion.potential)), float(np.max(np.abs(raised))))
+        self.largest = max(self.largest, float(np.max(energy - record.motion.potential)), max_magnitude(raised))
 
     def figures(self) -> dict[str, float]:
         """Return the summary statistics by name (SI)."""

@@ -24,7 +24,7 @@ from optlink.dynamics.runge_kutta import ALL, Step, Stepper, TrialStep, attempt,
 from optlink.dynamics.work import LastTurn, jumps
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
-from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.linkage.vector2d import Array, Value, all_finite, max_magnitude, wrapped
 
 # Events of a simulation: crank angles at which the integration restarts or ends, and reasons for its end.
 
@@ -296,7 +296,7 @@ class Run:
     def turnover(self) -> float:
         """Largest kinetic energy, change of potential energy or work [J], the reference for the imbalance."""
         every = [self.kinetic, self.potential - self.potential[:1], *self.works.values()]
-        return max(float(np.max(np.abs(values), initial=0.0)) for values in every)
+        return max(max_magnitude(values) for values in every)
 
 
 class EquationsOfMotion:
@@ -340,6 +340,11 @@ class EquationsOfMotion:
         """The accelerations of all bodies."""
         return [part for s in map(moving.state, self.bodies) for part in (*s.acceleration, s.alpha)]
 
+    def load_powers(self, moving: Moving) -> Iterator[Value]:
+        """Power of each load."""
+        for load in self.machine.loads:
+            yield sum((act.power(moving.state(act.body)) for act in load.act(moving)), 0.0)
+
     def torque(self, angle: Value, speed: Value) -> Value:
         """The torque of the drive [N m]."""
         assert self.drive is not None
@@ -360,9 +365,7 @@ class EquationsOfMotion:
             else:
                 alpha = crank_acceleration(geared, speed, torque, self.direction)
                 moving = geared.scaled(speed, alpha, self.direction)
-        powers = [torque * speed]
-        for load in self.machine.loads:
-            powers.append(sum((act.power(moving.state(act.body)) for act in load.act(moving)), 0.0))
+        powers = [torque * speed, *self.load_powers(moving)]
         if joint_reactions is not None:
             powers.append(sum(np.sum(force.friction * moving.slides[name][1]) for name, force in joint_reactions.guides.items()))
         if self.rigid:  # its stops act at an instant
@@ -424,7 +427,7 @@ class EquationsOfMotion:
             moving = geared.scaled(speeds, 0.0, ways)
             return moving, required_torque(moving, geared)[0]
         torque = self.torque(angles, speeds)
-        accelerations = np.array(np.broadcast_to(np.asarray(crank_acceleration(geared, speeds, torque, ways)), angles.shape))
+        accelerations = np.array(np.broadcast_to(crank_acceleration(geared, speeds, torque, ways), angles.shape))
         if resting:
             accelerations[-1] = 0.0
         return geared.scaled(speeds, accelerations, ways), torque
@@ -547,7 +550,7 @@ class _Integration:
     def leg(self, progress: Callable[[float], None] | None) -> None:
         """Integrate to the next event."""
         end, first = float(self.times[-1]), self.equations(self.state)
-        if not np.all(np.isfinite(first)):  # no step size would do
+        if not all_finite(first):  # no step size would do
             self.ending = _stopped(self.equations, self.state)
             return
         stepper = Stepper(self.equations, self.equations.attempt, self.time, end, self.state, first)
@@ -652,20 +655,20 @@ class _Integration:
             x, y, angle = states[:, begin : begin + 3].T
             drift = max(drift, float(np.max(np.hypot(x - state.start[0], y - state.start[1]))))
             turned = angle - np.arctan2(state.axis[1], state.axis[0])
-            twist = max(twist, float(np.max(np.abs(np.remainder(turned + np.pi, TURN) - np.pi))))
+            twist = max(twist, max_magnitude(wrapped(turned)))
         return Run(
             times,
             angles,
             speeds,
-            np.broadcast_to(np.asarray(moving.motion.crank_acceleration, dtype=float), angles.shape),
-            np.broadcast_to(np.asarray(torque, dtype=float), angles.shape),
+            np.broadcast_to(moving.motion.crank_acceleration, angles.shape),
+            np.broadcast_to(torque, angles.shape),
             ways,
             works,
             kinetic,
             potential,
             drift,
             twist,
-            float(np.max(np.abs(imbalance))),
+            max_magnitude(imbalance),
             self.steps,
             equations.evaluations,
             self.ending,

@@ -196,9 +196,7 @@ class FreeEquations(EquationsOfMotion):
     def rates(self, *head: Value) -> list[Value]:
         """Rates of the cycle variable's rate, of the free coordinates, of works and of velocities of bodies."""
         moving, bends, _, stops, power = self.balance(head)
-        powers = [power]
-        for load in self.machine.loads:
-            powers.append(sum((act.power(moving.state(act.body)) for act in load.act(moving)), 0.0))
+        powers = [power, *self.load_powers(moving)]
         still, speeds = [0.0] * (2 * self.count), head[2 + self.count : 2 + 2 * self.count]
         if self.rigid:  # rigid stops act at an instant, and do no work while they hold a drive
             powers.append(sum((stop * speed for stop, speed in zip(stops, speeds, strict=True)), 0.0))

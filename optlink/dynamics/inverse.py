@@ -23,7 +23,7 @@ from optlink.linkage.elements import Drive
 from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Dyad, Guide, Joint, Link, Pose
 from optlink.linkage.trains import Single, Train
-from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus, turn
+from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, max_magnitude, minus, plus, turn
 
 # Force balances of dyads: the pin force that two balances determine, and the forces that follow from it.
 
@@ -515,7 +515,7 @@ def depends_on_sense(machine: Machine, low: float, high: float, speed: float) ->
     """Return whether forces differ on the way back through a range [rad]: by friction, dampers, loads of one stroke."""
     angles = np.linspace(low, high, SENSES + 2)[1:-1]
     there, back = (reactions(machine.moving(angles, way * speed)).torque + 0.0 * angles for way in (1.0, -1.0))
-    return not np.allclose(there, back, rtol=1e-9, atol=1e-9 * float(np.max(np.abs(there), initial=0.0)))
+    return not np.allclose(there, back, rtol=1e-9, atol=1e-9 * max_magnitude(there))
 
 
 def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:

@@ -11,12 +11,27 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from optlink.io import without
 from optlink.linkage.cams import Profile
 from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import Ranges, reachable
-from optlink.linkage.vector2d import TURN, Value, Vector, angle_from, cross, dot, magnitude, minus, plus, sign, turn, unit
+from optlink.linkage.vector2d import (
+    TURN,
+    Value,
+    Vector,
+    angle_from,
+    cross,
+    dot,
+    magnitude,
+    minus,
+    plus,
+    sign,
+    turn,
+    unit,
+    whole_turns,
+)
 
 # Mass properties of a body, and the wrench that its motion requires, linear in them.
 #
@@ -283,7 +298,7 @@ class Machine:
     @cached_property
     def revolutions(self) -> int | None:
         """Revolutions of the crank after which motion and loads repeat; None where a load never does."""
-        motion = max(1, round(self.mechanism.cycle / TURN))
+        motion = whole_turns(self.mechanism.cycle)
         loads = [getattr(load.magnitude, "revolutions", 1) for load in self.processes]
         return None if None in loads else math.lcm(motion, *loads)
 
@@ -299,7 +314,7 @@ class Machine:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes without compiled functions, which are compiled again when needed."""
-        return {name: value for name, value in vars(self).items() if name != "compiled"}
+        return without(vars(self), "compiled")
 
     @cached_property
     def switching(self) -> bool:

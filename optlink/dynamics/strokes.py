@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Load, Machine, Process, slider_names
+from optlink.io import without
 from optlink.linkage.extrema import POINTS, distinct, refined_minima, zeros
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import OTHER, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke, travels
@@ -27,7 +28,7 @@ def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[flo
 
     def rates(angles: Array) -> Array:
         velocities = load.reversing(machine.moving(angles))
-        return np.broadcast_to(np.asarray(0.0 if velocities is None else velocities[0], dtype=float), angles.shape)[None, :]
+        return np.broadcast_to(0.0 if velocities is None else velocities[0], angles.shape)[None, :]
 
     cycle = machine.mechanism.cycle
     count = GRID * round(cycle / TURN)
@@ -112,7 +113,7 @@ def travels_by_use(
     outputs = [f"{body} {'slides' if body in strokes else 'swings'}" for body in loaded if body in strokes or body in swings]
     last, slides = last_output(machine, swings, strokes)
     outputs = outputs or [f"{last} {'slides' if slides else 'swings'}"]
-    return {name: named[name] for name in outputs if name in named}, {n: t for n, t in named.items() if n not in outputs}
+    return {name: named[name] for name in outputs if name in named}, without(named, *outputs)
 
 
 def named_travels(machine: Machine) -> tuple[dict[str, Travel], dict[str, Travel]]:
@@ -239,7 +240,7 @@ def _grows(machine: Machine, load: Process, speed: float, at: Array) -> NDArray[
     """Return whether the magnitude of a load grows without bound towards crank angles (n,), from either side."""
     beside = at[:, None, None] + BESIDE * np.array([[-1.0], [1.0]])
     values = load.magnitude(load.known(machine.moving(beside.ravel(), speed)))
-    size = np.abs(np.broadcast_to(np.asarray(values, dtype=float), beside.size).reshape(beside.shape))
+    size = np.abs(np.broadcast_to(values, beside.size).reshape(beside.shape))
     steps = np.diff(size, axis=-1)
     grows = (steps[..., -1] > GROWTH * np.abs(steps[..., 0])) & (steps[..., -1] > ROUNDING * size[..., -1])
     return np.asarray(np.any(grows, axis=1))

@@ -12,7 +12,7 @@ from optlink.dynamics.runge_kutta import Step, between
 from optlink.dynamics.strokes import irregular
 from optlink.linkage.elements import Element
 from optlink.linkage.extrema import distinct, zeros
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, all_finite, whole_turns
 
 PANELS = 180  # per range or revolution: 2 degrees each in a revolution
 BESIDE = 1e-8  # rad from a jump, where some loads may have jumped and others not
@@ -108,7 +108,7 @@ def _grid(low: float, high: float) -> Array:
 
 
 def _panels(low: float, high: float) -> int:
-    return PANELS * max(1, round((high - low) / TURN))
+    return PANELS * whole_turns(high - low)
 
 
 def _rising(lists: list[Array], low: float, high: float) -> Array:
@@ -146,7 +146,7 @@ class Work:
     def torque(self, angles: Array) -> Array:
         """Return the driving torque [N m] at crank angles (n,)."""
         torque = reactions(self.machine.moving(angles, self.speed)).torque
-        return np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
+        return np.broadcast_to(torque, angles.shape)
 
     @property
     def rms_torque(self) -> float:
@@ -227,7 +227,7 @@ class Fluctuation:
         self.machine, self.mean_speed = machine, speed
         cycle = machine.cycle
         low, high = (start, start + cycle) if speed > 0.0 else (start - cycle, start)
-        self.angles = np.linspace(low, high, POSITIONS * max(1, round(cycle / TURN)), endpoint=False)
+        self.angles = np.linspace(low, high, POSITIONS * whole_turns(cycle), endpoint=False)
         work = Work(machine, start, low, high, speed)
         self.mean_torque = float(work(np.array([high]))[0] - work(np.array([low]))[0]) / cycle
         moving = machine.moving(self.angles, speed)
@@ -266,7 +266,7 @@ def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0)
     flywheel; None where the torque is not finite at some position.
     """
     balance = Fluctuation(machine, speed, start)
-    if not np.all(np.isfinite(balance.gain)):
+    if not all_finite(balance.gain):
         return None
 
     without_flywheel = balance.fluctuation() if np.min(balance.inertia) > 0.0 else np.nan

@@ -44,7 +44,6 @@ class StudyTask(Protocol):
 
     def prepared(self, todo: list[int], runs: Runs) -> tuple[ChunkTask, float]:
         """Return the task of some chunks with what they share, and the processor time for that [s]."""
-        ...
 
 
 class TemporaryFolder:

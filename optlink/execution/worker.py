@@ -5,8 +5,6 @@ outlive a parent process that is killed, leave semaphores behind, answer Ctrl-C 
 them dies, the work of all is lost.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import os
@@ -35,7 +33,6 @@ class ChunkTask(Protocol):
 
     def __call__(self, index: int, /) -> Any:
         """Return the result of a chunk."""
-        ...
 
 
 class ChunkResult(NamedTuple):

@@ -1,7 +1,5 @@
 """Public kinematics: arguments are checked once, here; the formulas inside take numbers, arrays and symbols unchecked."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 import math
@@ -14,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optlink.errors import Fault, InputError, UnknownName, nearest
+from optlink.io import without
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep as sweep_unchecked
 from optlink.linkage.stroke import Ranges, Travel, reachable as reachable_unchecked, travels as travels_unchecked
-from optlink.linkage.vector2d import Array, Value
+from optlink.linkage.vector2d import Array, Value, all_finite
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -63,7 +62,7 @@ def _faults_of_call(
     elsewhere: Mapping[str, str],
 ) -> list[Fault]:
     """Return the faults of a call whose arguments are not those of the function: unknown, given twice, too many, or missing."""
-    parameters = {name: parameter for name, parameter in signature.parameters.items() if name != "self"}
+    parameters = without(signature.parameters, "self")
     names, count = list(parameters), len(args) - (len(parameters) < len(signature.parameters))
     places = sum(parameter.kind is not inspect.Parameter.KEYWORD_ONLY for parameter in parameters.values())
     remedy = f"Known: {', '.join(names)}"
@@ -165,7 +164,7 @@ def check_array(name: str, value: Any) -> Array:
     """
     try:
         array = np.asarray(value)
-        if array.dtype.kind not in "iuf" or not np.all(np.isfinite(array)):
+        if array.dtype.kind not in "iuf" or not all_finite(array):
             raise ValueError
     except (TypeError, ValueError):
         raise InputError("not a finite number or array", "Give numbers in SI units", key=name, value=value) from None

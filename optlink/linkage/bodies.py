@@ -1,7 +1,5 @@
 """Bodies of a mechanism, their points and joints; sizes are names of parameters, or numbers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 FRAME = "frame"

@@ -30,7 +30,6 @@ CIRCLE = 120  # corners of a circle
 STEPS = 720  # of a turn, between which extremes are refined
 DEVIATION = 2e-5  # default deviation of a polyline from the profile, in base radii: 1 um for 50 mm
 FIRST, ROUNDS, SAFE = 72, 16, 0.9  # pieces of a polyline at first, rounds of halving, share of the deviation used at three points
-CANDIDATES, HALVINGS = 64, 32  # base radii tried, and halvings of the step in which they become large enough
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +160,7 @@ class Arm:
         """Return the direction across the line from the arm's pivot."""
         lever = at - complex(*self.pivot)
         with np.errstate(invalid="ignore"):  # NaN of a follower that does not reach the base circle
-            return np.asarray(1j * self.side * lever / np.abs(lever))
+            return 1j * self.side * lever / np.abs(lever)
 
 
 class Touch(NamedTuple):
@@ -275,7 +274,7 @@ class CamContact:
         With a roller of radius r that of the pitch curve is radius + r; from an outer flank it is -(radius + r).
         """
         with np.errstate(divide="ignore"):
-            return np.asarray(self.advance / self.turning)
+            return self.advance / self.turning
 
     @property
     def undercut(self) -> NDArray[np.bool_]:
@@ -285,12 +284,12 @@ class CamContact:
     @property
     def along(self) -> Array:
         """Distance of the contact from the follower's point along a face [m], to the right of the normal."""
-        return np.asarray(-np.imag((self.contact - self.point) * np.conj(self.normal)))
+        return -np.imag((self.contact - self.point) * np.conj(self.normal))
 
     @property
     def lever(self) -> Array:
         """Torque that turns the cam counter-clockwise, per force of the contact along the normal [m]."""
-        return np.asarray(np.imag(np.conj(self.contact) * self.normal))
+        return np.imag(np.conj(self.contact) * self.normal)
 
 
 class CamFigures(NamedTuple):
@@ -403,38 +402,3 @@ class DiscCam:
 
 
 _TURN = np.linspace(0.0, TURN, STEPS + 1)
-
-
-def least_base_radius(cam: DiscCam, between: tuple[float, float], pressure_angle: float = TURN, radius: float = 0.0) -> float:
-    """Return the least base radius [m] of a range with which a cam keeps limits, whatever its own; NaN if there is none.
-
-    Parameters
-    ----------
-    cam : DiscCam
-    between : tuple of float [m]
-        Least and largest base radius.
-    pressure_angle : float [rad], optional
-        Largest pressure angle, to either side.
-    radius : float [m], optional
-        Least radius of curvature of the profile where it bulges; 0 excludes undercutting alone.
-    """
-
-    def allowed(base: float) -> bool:
-        tried = replace(cam, base_radius=base)
-
-        def excess(angles: Array) -> Array:
-            contacts = [tried.at(angles, outer=outer) for outer in cam.flanks]
-            sharp = [(radius * one.turning - one.advance) / base for one in contacts]
-            return np.array([np.abs(contacts[0].pressure_angle) - pressure_angle, *sharp])
-
-        return bool(np.all(maxima(excess, _TURN, cam.breaks, periodic=True)[1] <= 0.0))
-
-    candidates = np.geomspace(*between, CANDIDATES).tolist()
-    first = next((k for k, base in enumerate(candidates) if allowed(base)), None)
-    if first is None:
-        return math.nan
-    low, high = candidates[max(first - 1, 0)], candidates[first]
-    for _ in range(HALVINGS if first else 0):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if allowed(middle) else (middle, high)
-    return float(high)

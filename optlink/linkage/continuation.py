@@ -21,7 +21,7 @@ from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Dyad, GroupPassages, Mechanism, Passage, Pose
 from optlink.linkage.singular import AlignedPosition, alignment_grid, alignment_margin, least_alignments
 from optlink.linkage.stroke import Ranges, range_grid, reachable
-from optlink.linkage.vector2d import TURN, Array, Value, turn, unit
+from optlink.linkage.vector2d import TURN, Array, Value, all_finite, turn, unit
 
 NODES = 64
 """Points of a circle; the series has at most half as many terms."""
@@ -181,7 +181,7 @@ class _Course:
             middle, half = 0.5 * (places[0] + places[1]), 0.5 * (places[0] - places[1])
             sense = np.sign(np.real(np.sum(np.conj(half) * np.roll(half, -1, axis=1), axis=0)))  # from each point to the next
             ways = np.cumprod([1.0, *sense[:-1]])
-            if np.all(np.isfinite(half)) and sense[-1] * ways[-1] > 0.0:
+            if all_finite(half) and sense[-1] * ways[-1] > 0.0:
                 series, size = {}, np.max(np.abs([half, middle - np.mean(middle, axis=1, keepdims=True)]))
                 for side in (1, -1):
                     terms = (middle + side * ways * half) @ transform

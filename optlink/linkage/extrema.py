@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, finite_or
 
 Index = NDArray[np.intp]
 Function = Callable[[Array], Array]
@@ -193,7 +193,7 @@ def _extremes(
     which = some[row]
     if which.size:
         at, least = refined(which, lowest[row, place])
-        order = np.argsort(-np.where(np.isfinite(least), least, np.inf), kind="stable")  # the lowest of each extremum last
+        order = np.argsort(-finite_or(least, np.inf), kind="stable")  # the lowest of each extremum last
         last = dict(zip(which[order].tolist(), order.tolist(), strict=True))
         each, chosen = np.array([*last]), np.array([*last.values()])
         angle[each], value[each] = _lower(angle[each], value[each], at[chosen], least[chosen])
@@ -277,7 +277,7 @@ def _points(low: Array, high: Array) -> Array:
 
 def _lowest(points: Array, values: Array) -> tuple[Array, Array, Array, Array]:
     """Angle and value of the lowest of some points (n, points), and the points before and after it."""
-    row, place = np.arange(len(points)), np.argmin(np.where(np.isfinite(values), values, np.inf), axis=-1)
+    row, place = np.arange(len(points)), np.argmin(finite_or(values, np.inf), axis=-1)
     before, after = np.maximum(place - 1, 0), np.minimum(place + 1, POINTS - 1)
     return points[row, place], values[row, place], points[row, before], points[row, after]
 

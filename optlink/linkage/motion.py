@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from optlink.errors import UnknownName, nearest
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
-from optlink.linkage.vector2d import Array, Value, Vector, angle
+from optlink.linkage.vector2d import Array, Value, Vector, all_finite, angle
 
 
 @dataclass(frozen=True, repr=False)
@@ -147,7 +147,7 @@ def _known(names: Collection[str], name: str, what: str) -> str:
 
 def continuous(angles: Array) -> Array:
     """Unwrap angles along the last axis; NaN stays NaN and the values after a gap stay near those before it."""
-    if np.all(np.isfinite(angles)):
+    if all_finite(angles):
         return np.unwrap(angles)
     result = np.array(angles)
     for row in result.reshape(-1, result.shape[-1]):

@@ -14,7 +14,7 @@ from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Dyad, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.singular import GRID, AlignedPosition, alignment_margin, least_alignments, least_margin
-from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.linkage.vector2d import TURN, Array, Value, whole_turns
 
 SEAM = 1e-6
 """Crank rotations [rad] that differ from a whole cycle by less count as one: the accuracy of flat extrema."""
@@ -121,7 +121,7 @@ class Ranges:
 
 def range_grid(low: float, high: float) -> Array:
     """Return the crank angles [rad] between which the ends of the ranges are bracketed."""
-    return np.linspace(low, high, GRID * max(1, round((high - low) / TURN)) + 1)
+    return np.linspace(low, high, GRID * whole_turns(high - low) + 1)
 
 
 @np.errstate(all="ignore")
@@ -143,7 +143,7 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
 
     def function(angles: Array) -> Array:
         pose = mechanism.at(sizes, angles)
-        sines = [np.broadcast_to(np.asarray(group.sine(pose), dtype=float), angles.shape) for group in crossing]
+        sines = [np.broadcast_to(group.sine(pose), angles.shape) for group in crossing]
         margins = (pose.margins[group.joint] - group.least for group in mechanism.groups)
         return np.array([least_margin(pose, margins), *sines])
 
@@ -293,7 +293,7 @@ def travels(
     full : bool
     """
     outputs = [*((link.body, True) for link in mechanism.links), *((guide.name, False) for guide in mechanism.guides)]
-    count = GRID * (max(1, round(mechanism.cycle / TURN)) if full else 1)
+    count = GRID * (whole_turns(mechanism.cycle) if full else 1)
     grid = low + (high - low) * np.linspace(0.0, 1.0, count + 1)
     if full:
         grid = grid + 0.37 * (grid[1] - grid[0])  # so that no dead centre at a round angle lies on the seam

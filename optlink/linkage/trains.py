@@ -5,8 +5,6 @@ fixed rack its slide. The coefficients are constant, so that Cramer's rule solve
 they give the efforts of the drives and couplings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

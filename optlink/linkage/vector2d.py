@@ -1,10 +1,10 @@
-"""Elementwise functions that numpy lacks, for floats, arrays, complex steps, casadi symbols and jets."""
+"""Functions that numpy lacks: of arrays, and elementwise ones for floats, arrays, complex steps, casadi symbols and jets."""
 
 import math
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 """An array of floats."""
@@ -19,6 +19,31 @@ TURN = 2.0 * math.pi
 """A revolution [rad]."""
 
 np.empty(1_000_000)  # freed at once: from now on glibc keeps up to 16 MB of freed arrays, whose pages need not be mapped anew
+
+
+def all_finite(values: ArrayLike) -> bool:
+    """Return whether all values are finite numbers."""
+    return bool(np.all(np.isfinite(values)))
+
+
+def max_magnitude(values: ArrayLike) -> float:
+    """Return the largest magnitude of some values, 0 of none."""
+    return float(np.max(np.abs(values), initial=0.0))
+
+
+def finite_or(values: Array, other: float) -> Array:
+    """Return the values, with another one in place of those that are not finite."""
+    return np.where(np.isfinite(values), values, other)
+
+
+def wrapped(angles: Array) -> Array:
+    """Return angles [rad] less whole revolutions: from -pi to pi."""
+    return np.remainder(angles + math.pi, TURN) - math.pi
+
+
+def whole_turns(rotation: float) -> int:
+    """Return the number of revolutions that a rotation [rad] is closest to, at least one."""
+    return max(1, round(rotation / TURN))
 
 
 def root(x: Value) -> Value:

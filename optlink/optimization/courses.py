@@ -15,7 +15,7 @@ import casadi
 import numpy as np
 
 from optlink.linkage.mechanism import Pose
-from optlink.linkage.vector2d import Array, Value
+from optlink.linkage.vector2d import Array, Value, finite_or, max_magnitude
 from optlink.optimization.nlp import Variable
 from optlink.optimization.output_errors import ErrorResiduals
 from optlink.optimization.terms import (
@@ -168,7 +168,7 @@ class LimitCourse:
             rows = self.rows(self.problem.linkage.at(values, begin + whole * shares))
             over = [np.maximum(row.low - row.value, row.value - row.high) for row in rows]
             excesses = np.array(np.broadcast_arrays(*over, begin + shares)[:-1])
-        return np.where(np.isfinite(excesses), excesses, -np.inf)
+        return finite_or(excesses, -np.inf)
 
 
 class RegionCourse(LimitCourse):
@@ -215,7 +215,7 @@ class ErrorCourse:
                 cosines, signs = self._errors.cosines(values, offsets), itertools.cycle((1.0, -1.0))
                 ends = map(np.abs, cosines) if self.part.robust is None else map(np.multiply, cosines, signs)
                 sizes = np.array([end + 0.0 * shares for end in ends])
-        return np.where(np.isfinite(sizes), sizes, -np.inf) / self.part.whole
+        return finite_or(sizes, -np.inf) / self.part.whole
 
     def heights(self, values: Mapping[str, float], level: float | None, shares: Array) -> Array:
         """Return the excess (rows, n) of the errors over the largest one (scaled), else over the tolerance."""
@@ -327,7 +327,7 @@ class TermCourse:
                 rows = [(weight, [signals[last]] if work else self.parts(term, signals)) for weight, signals in each]
                 square = term.how == "rms"
                 sums = [np.sum(weight * (np.square(part) if square else part)) for weight, parts in rows for part in parts]
-                size = max(float(np.max(np.abs(part))) for _, parts in rows for part in parts) ** (2 if square else 1)
+                size = max(max_magnitude(part) for _, parts in rows for part in parts) ** (2 if square else 1)
                 figures[-1].append((math.fsum(sums), (self.trace.high - self.trace.low) * size))
         pairs = zip(*figures, strict=True)
         return max((abs(a - b) / max(abs(b), SMALL_INTEGRAL * size, 1e-300) for (a, _), (b, size) in pairs), default=0.0)
@@ -404,7 +404,7 @@ class TermCourse:
                 rows += [above_level(value, float(level)) for value in values(goal, size, SIGNS[goal.how])]
             rows += [_beyond(row.value, row.low, row.high) - EXCEEDED for row in self.alignment_rows(signals)]
             heights = np.array(rows).reshape(-1, len(shares))
-        return np.where(np.isfinite(heights), heights, -np.inf)
+        return finite_or(heights, -np.inf)
 
 
 @dataclass(frozen=True)

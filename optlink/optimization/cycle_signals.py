@@ -25,7 +25,7 @@ from optlink.linkage.extrema import sign_changes, zeros
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.motion import Motion
 from optlink.linkage.stroke import Direction, slow_stroke
-from optlink.linkage.vector2d import TURN, Array, Value, dot, sign, unit
+from optlink.linkage.vector2d import TURN, Array, Value, dot, sign, unit, whole_turns
 from optlink.problem.design import DesignProblem
 from optlink.problem.machine.loads import LoadTable
 from optlink.problem.terms import Term, guide_of, output_of
@@ -427,7 +427,7 @@ class TracedCycle:
         middles = np.array([[load.middle for load in machine.loads] for machine in (self.base, relevant)])
         moved = middles[0] - middles[1]
         whole = self.high if self.limited else relevant.cycle
-        count = GRID * max(1, round(whole / TURN))
+        count = GRID * whole_turns(whole)
         moving = relevant.moving(np.linspace(self.low, whole, count, endpoint=self.limited), self.speed)
         return all(
             abs(moved[k]) <= 0.25 * TURN and np.allclose(before.torque, after.torque, rtol=1e-9)
@@ -471,7 +471,7 @@ class TracedCycle:
     def samples(self, designs: Sequence[Mapping[str, float]]) -> Iterator[Sample]:
         """Yield each design with what is needed to compute its events."""
         inputs = np.array([self.inputs(values) for values in designs])
-        count = GRID * max(1, round((self.high - self.low) / TURN))
+        count = GRID * whole_turns(self.high - self.low)
         grid = np.linspace(self.low, self.high, count + 1) + (0.0 if self.limited else 0.37 * TURN / GRID)
         inside = slice(None)
         if self.limited:  # a motion may come to rest, and a law begin, at an end of the range

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, max_magnitude
 from optlink.problem.design import EPIGRAPH
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class MultiplierSet:
 
     def least(self, weights: Array) -> tuple[float, Array]:
         """Return the least weighted sum of multipliers, -inf if there is none, and multipliers with this sum."""
-        value, size = float(weights @ self.multipliers), float(np.max(np.abs(self.multipliers), initial=0.0))
+        value, size = float(weights @ self.multipliers), max_magnitude(self.multipliers)
         if not self.directions.size or not size or not self.changes(weights):
             return value, self.multipliers
         from scipy.optimize import linprog

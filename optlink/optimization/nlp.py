@@ -1,7 +1,5 @@
 """NLP: one scaled nonlinear programme with exact derivatives and a label and unit for every row; see `programme.build`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -12,7 +10,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, all_finite
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.terms import DEGREES, PLAIN, ConstraintRow, ErrorMeasure, Scale, millimetres
 from optlink.problem.design import EPIGRAPH
@@ -73,7 +71,7 @@ class NLPValues(NamedTuple):
             squares += flat @ flat
             if math.isfinite(self.f) and math.isfinite(squares):
                 return True
-        return math.isfinite(self.f) and all(bool(np.all(np.isfinite(a))) for a in (self.gradient, self.g, flat))
+        return math.isfinite(self.f) and all(all_finite(a) for a in (self.gradient, self.g, flat))
 
 
 FEW = 4  # free quantities up to which casadi differentiates a whole programme sooner than its terms at one position
@@ -385,7 +383,6 @@ class Evaluator(Protocol):
 
     def __call__(self, x: Array, p: Array, multipliers: Array) -> BatchValues:
         """Evaluate the programme."""
-        ...
 
 
 class PointwiseNLP:

@@ -20,6 +20,7 @@ from optlink.optimization.nlp import NLP, Variable, boxed, scaled_variable
 from optlink.optimization.terms import PLAIN, ConstraintRow, millimetres, position_rows, rows as limit_rows
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import Reach, limits_in_file
+from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Interval, Quantity
 
 SPAN = "requirement.span"
@@ -62,7 +63,7 @@ def constant_values(problem: DesignProblem, constants: Sequence[Variable]) -> li
 
     They are arrays where the numbers of the problem are.
     """
-    named: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()} | problem.counted
+    named: dict[str, Any] = sizes_of(problem.quantities) | problem.counted
     if any(v.name == SPAN for v in constants):
         named[SPAN] = problem.span
     if moving := [v.name for v in constants if v.name.startswith(TARGET)]:

@@ -17,7 +17,7 @@ import casadi
 import numpy as np
 
 from optlink.linkage.stroke import LEAST_DIFFERENCE
-from optlink.linkage.vector2d import TURN, Array, unit
+from optlink.linkage.vector2d import TURN, Array, unit, whole_turns
 from optlink.optimization.courses import (
     EVENT,
     ErrorCourse,
@@ -648,7 +648,7 @@ class _Machine:
         numbers = np.array([np.ravel(self.trace.at_event([*inputs, angles[k]])) for k in ends])
         positions = numbers[:, place]
         if width == 2:  # the direction of a body, followed through the motion between these positions
-            count = FINE * max(1, round((self.trace.high - self.trace.low) / TURN))
+            count = FINE * whole_turns(self.trace.high - self.trace.low)
             fine = np.unique(np.concatenate([np.linspace(self.trace.low, self.trace.high, count), [angles[k] for k in ends]]))
             axes = np.array([np.ravel(self.trace.at_event([*inputs, at]))[place : place + 2] for at in fine])
             positions = np.interp([angles[k] for k in ends], fine, np.unwrap(np.arctan2(axes[:, 1], axes[:, 0])))

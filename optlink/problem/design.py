@@ -11,17 +11,18 @@ import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
 
 from optlink.dynamics.machine import Inertia
+from optlink.io import keeping
 from optlink.linkage.dyads import transmitting
 from optlink.linkage.fourbar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import Pose
-from optlink.linkage.vector2d import Array, Value
+from optlink.linkage.vector2d import Array, Value, max_magnitude
 from optlink.problem.driving import check_design_drive
 from optlink.problem.elements import check_one_cycle
 from optlink.problem.limits import MARGIN_KEYS, MODELS, Bound, Limits, Reach, check_limits, four_bar_limits
 from optlink.problem.linked import Link
 from optlink.problem.machine.bodies import STATIC
 from optlink.problem.machine.model import Problem, ShownObjective
-from optlink.problem.mechanism import check_one_mode
+from optlink.problem.mechanism import check_one_mode, sizes_of
 from optlink.problem.quantity import Quantity, Unusable, below, quantity_key, read_figure
 from optlink.problem.requirements.base import NoRequirement, Requirement, StartPosition, TargetArrays, names_of
 from optlink.problem.requirements.kinds import AnyRequirement
@@ -94,7 +95,7 @@ class DesignProblem(Problem):
         """Grids of the free sizes that the file states; one that is fixed has its size."""
         quantities = self.mechanism.quantities
         free = [name for name in self.free if name in quantities]
-        return read_grids({name: raw for name, raw in self.rounding.items() if name in (ALL, *free)}, quantities, free)
+        return read_grids(keeping(self.rounding, ALL, *free), quantities, free)
 
     @cached_property
     def four_bar(self) -> InnerFourBar | None:
@@ -575,7 +576,7 @@ class DesignProblem(Problem):
     def meets_again(self) -> bool:
         """Whether the last point coincides with the first: only then may the crank angles coincide."""
         columns = self.data.columns
-        return bool(np.max(np.abs(columns[0, :2] - columns[-1, :2])) <= 1e-9 * self.size)
+        return max_magnitude(columns[0, :2] - columns[-1, :2]) <= 1e-9 * self.size
 
     @cached_property
     def centre(self) -> tuple[float, float]:
@@ -594,7 +595,7 @@ class DesignProblem(Problem):
         quantities = [q for q in dimensions.values() if q.kind == "length"]
         fixed, lengths = [q.value for q in quantities if q.fixed], [q.value for q in quantities]
         if self.four_bar is not None and not self.four_bar.frame_length:
-            frame = float(self.four_bar.lengths({name: q.value for name, q in dimensions.items()})[3])
+            frame = float(self.four_bar.lengths(sizes_of(dimensions))[3])
             lengths.append(frame)
             fixed += [frame] if all(dimensions[name].fixed for name in self.four_bar.ground) else []
         away = [abs(q.value) for q in dimensions.values() if q.kind == "coordinate"]

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, PlainValidator, TypeAdapter, ValidationError, WithJsonSchema
 
 from optlink.errors import InputError, UnknownName, nearest
-from optlink.io import META, SUM, Frozen, Summary, checked, finite, head, with_check_sum
+from optlink.io import META, SUM, Frozen, Summary, checked, finite, head, keeping, with_check_sum, without
 from optlink.problem.enclosed import enclosing
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.upgrades import ADDED, VERSION_OF_SCHEMAS, upgraded
@@ -95,22 +95,18 @@ class Result(Protocol):
     @property
     def problem(self) -> ProblemFile:
         """The problem that it is about."""
-        ...
 
     @property
     def valid(self) -> bool:
         """Whether all checks of its kind pass: a command exits with code 0."""
-        ...
 
     @property
     def status(self) -> str:
         """How it ended, in a word or a few."""
-        ...
 
     @property
     def plots(self) -> tuple[str, ...]:
         """Names of the pictures that `plot` draws."""
-        ...
 
     @overload
     def plot(self, *, ax: Axes | None = None, angle: float | None = None) -> Axes: ...
@@ -128,11 +124,9 @@ class Result(Protocol):
         angle : float [rad], optional
             Crank angle of the linkage.
         """
-        ...
 
     def animate(self, frames: int = 48) -> FuncAnimation:
         """Return the linkage in motion, which a notebook shows."""
-        ...
 
     def to_frame(self, name: str | None = None, *, units: str = "SI") -> pandas.DataFrame:
         """Return a table as a data frame of pandas.
@@ -144,7 +138,6 @@ class Result(Protocol):
         units : "SI" or "file"
             SI, or the units of the problem file.
         """
-        ...
 
     def to_latex(
         self, buf: str | Path | TextIO | None = None, name: str | None = None, *, columns: Sequence[str] | None = None
@@ -160,11 +153,9 @@ class Result(Protocol):
         columns : sequence of str, optional
             Names of the columns.
         """
-        ...
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON document, with all of this."""
-        ...
 
     def write(self, folder: str | Path, pictures: str = "png") -> list[Path]:
         """Write the files that `--out` writes.
@@ -176,7 +167,6 @@ class Result(Protocol):
         pictures : str
             Format of the pictures: "png", "svg" or "pdf".
         """
-        ...
 
 
 class Renamed:
@@ -359,8 +349,8 @@ class Document(Summary):
             state = adapter(type(self)).dump_python(self, context={"problem": self.problem}, exclude={"problem"}, warnings=False)
         hidden = hidden_fields(type(self))
         about = head(self.schema(), self.problem, self.status) | {"valid": self.valid, "seed": getattr(self, "seed", None)}
-        document = about | dict(entries(self)) | {name: value for name, value in state.items() if name not in hidden}
-        if below := {name: value for name, value in state.items() if name in hidden}:
+        document = about | dict(entries(self)) | without(state, *hidden)
+        if below := keeping(state, *hidden):
             document["state"] = below
         document["problem_file"] = stored_problem(self.problem)
         return with_check_sum(finite(document)) | ({META: finite(dict(self.meta))} if self.meta else {})
@@ -424,7 +414,7 @@ class Document(Summary):
             "valid": {"type": "boolean"},
             **{key.rstrip("?"): {} for key in cls.shown},
             **{name: part for name, part in parts.items() if name not in hidden and name != "problem"},
-            **({"state": _object({name: part for name, part in parts.items() if name in hidden}, added)} if hidden else {}),
+            **({"state": _object(keeping(parts, *hidden), added)} if hidden else {}),
             "problem_file": _object({key: {"type": "string"} for key in ("file", "toml")}),
             SUM: {"type": "string"},
             META: {"type": "object"},

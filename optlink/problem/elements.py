@@ -3,8 +3,6 @@
 Each is an entry that builds its part of the mechanism, and says itself what a file must state for it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace

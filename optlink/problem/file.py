@@ -19,7 +19,7 @@ import pydantic
 from pydantic_core import PydanticKnownError, core_schema
 
 from optlink.errors import OPTIONS_NAMED, InputError, shown
-from optlink.io import data_files, load_extensions, shown_name
+from optlink.io import data_files, load_extensions, shown_name, without
 from optlink.linkage.vector2d import TURN
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import DEEPEST, SPELLED, SPELLINGS, with_ranges, with_spellings, written
@@ -223,9 +223,9 @@ class ProblemFile:
         raw = copy.deepcopy(dict(self.raw))
         changes = _with_units(raw, _without_arrays(changes), self.file)
         _change(raw, changes, self.file)
-        earlier = {key: value for key, value in self.overrides.items() if key not in changes}
+        earlier = without(self.overrides, *changes)
         anew = {split_enclosed(text)[0] for text in _texts(changes)}  # a file that is named anew is read anew
-        known = {name: content for name, content in self.files.items() if name not in anew}
+        known = without(self.files, *anew)
         return replace(replace(self, files=known).with_tables(raw), overrides={**earlier, **changes})
 
     def with_tables(self, raw: Mapping[str, Any]) -> ProblemFile:
@@ -681,7 +681,7 @@ def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[
         bounds = content.get("bounds")
         if "exactly" in content:  # an equality becomes a range
             both = dict.fromkeys(SIDES, content["exactly"]) | {side: value}
-            return above, {**{name: item for name, item in content.items() if name != "exactly"}, **both}
+            return above, {**without(content, "exactly"), **both}
         return (above, {**content, "bounds": _side(bounds, side, value)}) if isinstance(bounds, list) else (key, value)
     if not isinstance(content, list):
         if above.startswith("mechanism."):
@@ -730,7 +730,7 @@ def fixed_design(file: ProblemFile, values: Mapping[str, float], *, checked: boo
     """
     file = file.override(file.located) if file.located else file  # a mode by the place of a joint is that of the start
     left_out = {"rounding", "expected", *(() if checked else DESIGN_SECTIONS)}
-    raw: dict[str, Any] = copy.deepcopy({key: value for key, value in file.raw.items() if key not in left_out})
+    raw: dict[str, Any] = copy.deepcopy(without(file.raw, *left_out))
     sizes = file.model.mechanism.quantities
     angles = {name: one for name, one in file.model.quantities.items() if checked and one.free and name not in sizes}
     for name, quantity in {**sizes, **angles}.items():

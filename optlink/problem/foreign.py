@@ -1,7 +1,5 @@
 """Linkages of other programs, read as problem files: joints stay where they are drawn, which gives assembly and start."""
 
-from __future__ import annotations
-
 import cmath
 import itertools
 import math
@@ -18,6 +16,7 @@ from xml.etree import ElementTree
 from pydantic import BaseModel, ValidationError
 
 from optlink.errors import InputError, shown
+from optlink.io import keeping
 from optlink.problem.base_model import RESERVED
 
 DIGITS = string.digits + string.ascii_uppercase + string.ascii_lowercase + "_-"
@@ -121,8 +120,8 @@ class Drawing:
             self.lines[joint] = cmath.phase(self.places[ends[1]] - self.places[ends[0]])
         used = set().union(*rigid[1:])
         self.ground &= used
-        self.places = {joint: place for joint, place in self.places.items() if joint in used}
-        self.lines = {joint: way for joint, way in self.lines.items() if joint in used - self.ground}
+        self.places = keeping(self.places, *used)
+        self.lines = keeping(self.lines, *(used - self.ground))
         if len(self.drives) != 1 or self.drives[0][0] not in self.ground or not self.drives[0][1]:
             message = f"the linkage has {len(self.drives)} inputs, and one driven pin on the ground is supported"
             _refuse(message, "Give one pin on the ground the input, with a speed")

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Discriminator, ModelWrapValidatorHandler, Tag, TypeAdapter, model_validator
 from pydantic.fields import FieldInfo
 
-from optlink.io import Entry
+from optlink.io import Entry, keeping, without
 from optlink.linkage.dyads import transmitting
 from optlink.linkage.fourbar import LENGTHS, InnerFourBar, swing, time_ratio
 from optlink.linkage.mechanism import Mechanism
@@ -311,9 +311,9 @@ class Limits(Section):
         if not isinstance(raw, Mapping):
             return handler(raw)
         own = {name for name in set(raw) & set(cls.model_fields) if isinstance(raw[name], Mapping) and "quantity" in raw[name]}
-        limits = handler({name: value for name, value in raw.items() if name not in own})
+        limits = handler(without(raw, *own))
         if own:
-            named = TypeAdapter(dict[Name, Limit]).validate_python({name: value for name, value in raw.items() if name in own})
+            named = TypeAdapter(dict[Name, Limit]).validate_python(keeping(raw, *own))
             every = {**named, **limits._extra}
             limits.__pydantic_extra__ = {name: every[name] for name in raw if name in every}
         return limits
@@ -508,11 +508,9 @@ class Moved(Protocol):
     @property
     def required(self) -> Motion:
         """The motion over which the mechanism must be assembled."""
-        ...
 
     def strokes(self) -> tuple[float, float, float]:
         """Return the swing angle of the rocker and the crank rotation of its forward and backward strokes [rad], or NaN."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from optlink.linkage.elements import Drive
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Guide, Link, Mechanism, Pose, Size
 from optlink.linkage.trains import Single, Train
-from optlink.linkage.vector2d import unit
+from optlink.linkage.vector2d import all_finite, unit
 from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.elements import (
     ELEMENTS,
@@ -108,7 +108,7 @@ def _nearest(pose: Pose, group: Dyad, near: NearPlace) -> tuple[Dyad, str]:
         raise Unusable("this is a guide, and near states the place of a pin joint", remedy, group.joint, near.words)
     both = [replace(group, side=side) for side in (1, -1)]  # type: ignore[call-arg]
     points = [tuple(float(x) for x in pose.with_group(one).point(group.joint)) for one in both]
-    if not np.all(np.isfinite(points)):
+    if not all_finite(points):
         message = f"{group.joint} has no position {where}: its group cannot be assembled there"
         raise Unusable(
             message,

@@ -1,7 +1,5 @@
 """Names, kinds and titles of the shipped problems, without the models that check a file: these take longer to load."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Objectives and limits of one's own, from a function in a script or in a cell of a notebook."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import traceback

@@ -16,6 +16,7 @@ from typing import Annotated, Any, TypeGuard
 from pydantic import AfterValidator, BeforeValidator
 
 from optlink.errors import InputError, InvalidValue, nearest as nearest
+from optlink.io import keeping, without
 from optlink.linkage.fourbar import LENGTHS
 from optlink.units import KINDS, display_unit, factor, mistyped_range, parse, show, with_article
 
@@ -492,7 +493,7 @@ def read_interval(raw: object, kind: str | None) -> Interval:
 def _read_stroke_ratio(raw: object, kind: None) -> StrokeRatio:
     stroke, sides = None, raw
     if isinstance(raw, dict):
-        stroke, sides = raw.get("stroke"), {key: value for key, value in raw.items() if key != "stroke"}
+        stroke, sides = raw.get("stroke"), without(raw, "stroke")
         if stroke is not None:
             check_name(stroke, STROKES, "unknown stroke", "stroke")
             if not sides:
@@ -530,8 +531,8 @@ def _joint_ranges(raw: object, kind: str, read: Callable[[object, str], Interval
     by_joint: dict[Any, Any] = {}
     sides = raw
     if isinstance(raw, dict):
-        by_joint = {key: value for key, value in raw.items() if key not in SIDES}
-        sides = {key: value for key, value in raw.items() if key in SIDES}
+        by_joint = without(raw, *SIDES)
+        sides = keeping(raw, *SIDES)
     entries = []
     for joint, value in by_joint.items():
         with below(str(joint)):

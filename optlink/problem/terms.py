@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, TypeAlias, get_args
 
@@ -57,17 +57,14 @@ class ElementTerm(Protocol):
     @property
     def of(self) -> str | None:
         """Name of the element."""
-        ...
 
     @property
     def on(self) -> str | None:
         """Name of the body."""
-        ...
 
     @property
     def about(self) -> str | tuple[float, float] | None:
         """Reference point of a moment: a point of the frame or its coordinates [m]; None for the crank pivot."""
-        ...
 
 
 Signal: TypeAlias = Callable[[Moving, Reactions, ElementTerm], tuple[Value, ...]]
@@ -191,22 +188,21 @@ class QuantityType(Entry):
 QUANTITIES: dict[str, QuantityType] = QuantityType.registry
 
 
+def _name(term: ElementTerm, drives: Iterable[Drive]) -> str:
+    """Return the name of the drive of a term; default: the first one, or the input of a linkage without drives."""
+    return term.of or next((drive.name for drive in drives), "input")
+
+
 def _drive(moving: Moving, term: ElementTerm) -> str:
-    return term.of or linear_drives(moving.machine.mechanism)[0].name
+    return _name(term, linear_drives(moving.machine.mechanism))
 
 
 def _motor(moving: Moving, term: ElementTerm) -> str:
-    turning = turning_drives(moving.machine.mechanism)
-    return term.of or (turning[0].name if turning else "input")
-
-
-def _only(moving: Moving) -> str:
-    """Return the name of the only drive."""
-    return next((drive.name for drive in moving.machine.mechanism.drives), "input")
+    return _name(term, turning_drives(moving.machine.mechanism))
 
 
 def _power(moving: Moving, reactions: Reactions, term: ElementTerm) -> Value:
-    name = term.of or _only(moving)
+    name = _name(term, moving.machine.mechanism.drives)
     for drive in moving.machine.mechanism.drives:
         if drive.name == name:
             return reactions.efforts[name] * as_jet(drive.value(moving.pose)).rate
@@ -234,7 +230,7 @@ def _size(x: str, y: str) -> Course:
 
 def _pin(record: MotionColumns, term: ElementTerm) -> Array:
     force = record.reactions.pin(record.moving.machine, str(term.of), term.on)
-    return np.asarray(np.hypot(*(record.full(part) for part in force)))
+    return np.hypot(*(record.full(part) for part in force))
 
 
 def _reference(moving: Moving, term: ElementTerm) -> Vector:
@@ -357,7 +353,7 @@ register(
         "drive",
         POWERED,
         lambda moving, reactions, term: (_power(moving, reactions, term),),
-        lambda record, term: record[f"{term.of or _only(record.moving)}.power_W"],
+        lambda record, term: record[f"{_name(term, record.machine.mechanism.drives)}.power_W"],
         forces=True,
         sole=True,
     ),

@@ -5,8 +5,6 @@ needs no new number. Whoever raises it adds, for each kind that changes, the ste
 number that is read are in tests/data/results, where `python -m tests.stored_results` writes those of a new number.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any

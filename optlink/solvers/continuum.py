@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optlink.errors import Status
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite, max_magnitude
 from optlink.problem.design import DesignProblem
 from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE
@@ -53,7 +53,7 @@ def _flat(solution: Solution) -> list[Array]:
     nlp = solution.nlp
     n, point = len(solution.x), nlp.at(solution.x, solution.p)
     multipliers = solution.conditions.multipliers
-    size = float(np.max(np.abs(multipliers), initial=0.0))
+    size = max_magnitude(multipliers)
     equal = nlp.lower == nlp.upper
     holding = [i for i in solution.conditions.active if equal[i] or abs(multipliers[i]) > STRONG * size]
     basis = tangent_space(point, holding)
@@ -61,10 +61,10 @@ def _flat(solution: Solution) -> list[Array]:
         return []
     hessian = nlp.hessian(solution.x, solution.p, multipliers[n:])
     reduced = basis.T @ hessian @ basis
-    if not np.all(np.isfinite(reduced)):
+    if not all_finite(reduced):
         return []
     values, vectors = np.linalg.eigh(reduced)
-    stiff = max(float(np.max(np.abs(hessian))), 1.0)
+    stiff = max(max_magnitude(hessian), 1.0)
     return [basis @ vectors[:, k] for k in np.argsort(np.abs(values)) if abs(values[k]) <= FLAT * stiff]
 
 

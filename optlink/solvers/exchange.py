@@ -22,7 +22,7 @@ import numpy as np
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, maxima
 from optlink.linkage.fourbar import time_ratio
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, max_magnitude
 from optlink.optimization.courses import (
     EVENT,
     EXCEEDED,
@@ -140,7 +140,7 @@ def solve_semi_infinite(
             violated, worst = [*there, *violated], 0.5 * there[0].height  # the step is repeated with these positions
         else:
             radius, violated, worst = 0.25 * radius, [], math.inf
-        if math.isfinite(moved.objective) and np.max(np.abs(moved.x - begun)) < ROUNDING:
+        if math.isfinite(moved.objective) and max_magnitude(moved.x - begun) < ROUNDING:
             break  # it stays where it is: further rounds would repeat this one
     if tops[0].height <= 0.0 or not solution.usable:
         return _polished(solution)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite, finite_or
 from optlink.optimization.nlp import NLP, Variable
 from optlink.optimization.terms import DEGREES, PLAIN, ConstraintRow, Scale
 from optlink.problem.design import EPIGRAPH
@@ -63,7 +63,7 @@ class LimitSide:
     def nearest(self, nlp: NLP, g: Array) -> "LimitSide":
         """Return the side under the name of that of its rows which is furthest beyond it at a design with the values g."""
         beyond = {nlp.rows[j].label: (g[j] - self.bound) * (1.0 if self.upper else -1.0) for j in reversed(self.rows)}
-        return replace(self, name=max(beyond, key=beyond.__getitem__)) if np.all(np.isfinite(g)) and beyond else self
+        return replace(self, name=max(beyond, key=beyond.__getitem__)) if all_finite(g) and beyond else self
 
     def displaced(self, amount: float) -> float:
         """Return the bound moved outward by an amount, in display units; an angle between 0 and 180 deg for a cosine."""
@@ -94,7 +94,7 @@ class Limit:
         """Return the relaxation of each side that a design x needs, from the slack of each; infinite slacks do not suffice."""
         g = nlp.values(x, p)[1]
         slacks_by_side = [(side.nearest(nlp, g), slack) for side, slack in zip(self.sides, slacks.tolist(), strict=True)]
-        if len(slacks_by_side) > 1 and np.all(np.isfinite(slacks)):
+        if len(slacks_by_side) > 1 and all_finite(slacks):
             over = [max((g[j] - side.bound) * (1.0 if side.upper else -1.0) for j in side.rows) for side in self.sides]
             needed = [pair for pair, excess in zip(slacks_by_side, over, strict=True) if excess > FEASIBLE_SLACK]
             slacks_by_side = needed or slacks_by_side
@@ -185,10 +185,8 @@ def elastic_programme(nlp: NLP, limits: Sequence[Limit]) -> NLP:
     room = np.where(bounded, np.maximum(nlp.x_high - nlp.x_low, 1.0), 1.0)
     lowest = np.where(length, 1e-3 * nlp.x_low, nlp.x_low - room)  # a length may shrink towards zero, not below
     # helpers keep their bounds, except the largest error, which has no upper bound
-    lowest = np.where(fixed_variables, nlp.x_low, np.where(bounded, lowest, np.where(np.isfinite(nlp.x_low), nlp.x_low, 0.0)))
-    highest = np.where(
-        fixed_variables, nlp.x_high, np.where(bounded, nlp.x_high + room, np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0))
-    )
+    lowest = np.where(fixed_variables, nlp.x_low, np.where(bounded, lowest, finite_or(nlp.x_low, 0.0)))
+    highest = np.where(fixed_variables, nlp.x_high, np.where(bounded, nlp.x_high + room, finite_or(nlp.x_high, 1.0)))
     return NLP(
         variables=(*nlp.variables, *(Variable(f"slack {i}", 1.0, PLAIN) for i in range(k))),
         fixed=(),
@@ -300,7 +298,7 @@ class _Search:
             slack, x = self.least(weights, FREE * weights)
             slacks = slack * self.shares[i]
             amounts = [side.relaxation(each).amount for side, each in zip(limit.sides, slacks.tolist(), strict=True)]
-            if not np.all(np.isfinite(amounts)) or np.ptp(amounts) <= EQUAL_SLACKS * max(amounts):
+            if not all_finite(amounts) or np.ptp(amounts) <= EQUAL_SLACKS * max(amounts):
                 break
             amount = float(np.mean(amounts))
         return slacks, x
@@ -312,7 +310,7 @@ class _Search:
         """Return the violation of the relaxed limits at a point (scaled)."""
         nlp = self.programme
         g = nlp.at(x, self._parameters(weights)).g
-        return float(np.max([nlp.low - g, g - nlp.high, 0.0 * g])) if np.all(np.isfinite(g)) else math.inf
+        return float(np.max([nlp.low - g, g - nlp.high, 0.0 * g])) if all_finite(g) else math.inf
 
     def _searched(self, weights: Array, most_slack: Array | float, agreeing: int) -> tuple[float, Array]:
         """Return the least weighted slack for fixed exchange points; the search ends when `agreeing` runs have the same end."""
@@ -426,16 +424,16 @@ def tightest(nlp: NLP, key: str, sense: str, point: Array, follow: Follow | None
     ]
     search = _Search(nlp, limits, [point, *_begin(nlp, 0)], follow=follow)
     _, x = search.least(np.ones(len(limits)))
-    search.points += [x[: search.n]] if np.all(np.isfinite(x)) else []
+    search.points += [x[: search.n]] if all_finite(x) else []
     search.agreeing = len(search.points) * len(search.solvers)  # from each by every back end: these ends can be local ones
     search.exact_amount = True
     slacks, x = search.alone(0)
-    return x[: search.n] if np.all(np.isfinite(slacks)) else None
+    return x[: search.n] if all_finite(slacks) else None
 
 
 def _begin(nlp: NLP, seed: int) -> list[Array]:
     points = starts(nlp, LOOKED_AT, seed)
-    return sorted(points, key=lambda point: not np.all(np.isfinite(nlp.values(point, nlp.p)[1])))[:STARTS]
+    return sorted(points, key=lambda point: not all_finite(nlp.values(point, nlp.p)[1]))[:STARTS]
 
 
 def _irreducible(search: _Search, giving: NDArray[np.bool_]) -> list[int]:
@@ -461,7 +459,7 @@ def _conflicting(search: _Search, giving: NDArray[np.bool_]) -> Array:
     while search.least(conflicting)[0] <= search.feasible_slack:
         _, x = search.least(1.0 - conflicting, np.where(conflicting > 0.0, 0.0, FREE))
         giving = (x[search.n :] > search.feasible_slack) & (conflicting == 0.0)
-        if not np.all(np.isfinite(x)) or not np.any(giving):
+        if not all_finite(x) or not np.any(giving):
             return np.ones(search.k)
         conflicting[giving] = 1.0
     return conflicting

@@ -6,7 +6,7 @@ import casadi
 import numpy as np
 
 from optlink.execution.interrupts import interrupted
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite
 from optlink.optimization.nlp import NLP
 from optlink.solvers.solution import Attempt
 from optlink.symbolic import silent
@@ -99,7 +99,7 @@ def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
         raise KeyboardInterrupt
     statistics = solver.stats()
     end = np.asarray(result["x"], dtype=float).ravel()
-    if not np.all(np.isfinite(end)):
+    if not all_finite(end):
         end = x
     path = np.array([x, *recorder.path]) if recorder is not None else None
     end = np.clip(end, nlp.x_low, nlp.x_high)

@@ -18,7 +18,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite, max_magnitude
 from optlink.optimization.nlp import NLP
 from optlink.problem.design import EPIGRAPH
 from optlink.solvers.solution import FEASIBLE, Attempt
@@ -91,7 +91,7 @@ class _View:
         """Evaluate deviations, limits and derivatives at y, which is x without its last component."""
         e, by_e, g, by_g = self.first(np.append(y, 0.0), self.p)
         by_e, by_g = (slopes.reshape(len(y), -1).T for slopes in (by_e, by_g))
-        finite = all(np.all(np.isfinite(a)) for a in (e, by_e, g, by_g))
+        finite = all(all_finite(a) for a in (e, by_e, g, by_g))
         points = e.reshape(-1, self.width) / self.size
         return _Linearisation(points, by_e / self.size, g, by_g, self.violation(g) if finite else math.inf)
 
@@ -103,7 +103,7 @@ class _View:
         """Return the positive semidefinite part (n, n) of the Hessian of deviations and limits, weighted with multipliers."""
         n = len(y)
         hessian = self.second(np.append(y, 0.0), self.p, step.by_e / self.size, step.by_g)[0].reshape(n, n)
-        if not np.all(np.isfinite(hessian)):
+        if not all_finite(hessian):
             return np.zeros((n, n))
         values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
         return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
@@ -142,7 +142,7 @@ def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = 
                 other = view.at(np.clip(y + corrected.d, low, high))
                 if _gained(here, other, price, decrease) > gained:
                     there, step, gained = other, corrected, _gained(here, other, price, decrease)
-        length = float(np.max(np.abs(step.d)))
+        length = max_magnitude(step.d)
         if gained > ACCEPTED_DECREASE:
             y, here = np.clip(y + step.d, low, high), there
             bend = view.bend(y, step)
@@ -210,7 +210,7 @@ def _step(view: _View, here: _Linearisation, bend: Array, box: tuple[Array, Arra
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
     solution = clarabel.DefaultSolver(_sparse(np.triu(square)), cost, matrix, right, kinds, settings).solve()
     z, dual = np.asarray(solution.x, dtype=float), np.asarray(solution.z, dtype=float)
-    if not (np.all(np.isfinite(z)) and np.all(np.isfinite(dual))):
+    if not (all_finite(z) and all_finite(dual)):
         return None
     d = np.clip(z[:n], *box)
     e, g = here.e + (here.by_e @ d).reshape(points, width), here.g + here.by_g @ d

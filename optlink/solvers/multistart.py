@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, all_finite, finite_or, max_magnitude
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP, SMALLEST_SCALE, NLPValues
 from optlink.problem.design import EPIGRAPH
@@ -169,7 +169,7 @@ def _converged(
         jacobian = np.vstack([unit, here.jacobian])[active]
         missing = np.concatenate([y, here.g])[active] - bound
         residual = np.concatenate([here.gradient + jacobian.T @ multipliers[active], missing])
-        size = float(np.max(np.abs(residual), initial=0.0))
+        size = max_magnitude(residual)
         worse = 0 if size < 0.5 * last else worse + 1
         if worse > 1:  # one increase is allowed: along a curved valley every other step restores the limits
             break
@@ -180,15 +180,15 @@ def _converged(
         weights = np.zeros(len(here.g))
         weights[rows] = multipliers[rows + n]
         hessian = nlp.hessian(y, p, weights)
-        stiffness = max(stiffness, float(np.max(np.abs(hessian), initial=0.0)))
+        stiffness = max(stiffness, max_magnitude(hessian))
         step = newton(hessian, jacobian, residual)
         if step is None:
             break
-        moved = float(np.max(np.abs(step[:n])))
+        moved = max_magnitude(step[:n])
         y = np.clip(y + step[:n], nlp.x_low, nlp.x_high)
         multipliers[active] += step[n:]
         here = nlp.at(y, p)
-        if not here.finite or float(np.max(np.abs(y - x))) > LONGEST_STEP:
+        if not here.finite or max_magnitude(y - x) > LONGEST_STEP:
             return None
     threshold = max(CONVERGED, ROUNDING * stiffness)
     return (*best, threshold) if last <= threshold else None
@@ -204,11 +204,11 @@ def newton(hessian: Array, jacobian: Array, residual: Array) -> Array | None:
     n = len(hessian)
     system = np.zeros((len(residual), len(residual)))
     system[:n, :n], system[:n, n:], system[n:, :n] = hessian, jacobian.T, jacobian
-    if not np.all(np.isfinite(system)):
+    if not all_finite(system):
         return None
     try:
         step = np.asarray(np.linalg.solve(system, -residual), dtype=float)
-        if np.max(np.abs(step)) < 1.0:
+        if max_magnitude(step) < 1.0:
             return step
     except np.linalg.LinAlgError:
         pass
@@ -362,7 +362,7 @@ def sobol(low: Array, high: Array, seed: int) -> Iterator[Array]:
     from scipy.stats import qmc
 
     points = qmc.Sobol(len(low), rng=np.random.default_rng(seed))
-    high = np.where(np.isfinite(high), high, 1.0)
+    high = finite_or(high, 1.0)
     while True:
         yield from low + points.random(SOBOL_BLOCK) * (high - low)
 
@@ -416,4 +416,4 @@ def compare(a: Solution, b: Solution) -> Agreement:
     first, second = root(a.objective), root(b.objective)
     gap = max(0.0, abs(first - second) - SAME_ERROR)
     one, other = (s.x[: s.nlp.first_event] for s in (a, b))  # events may be others
-    return Agreement(gap / max(abs(first), abs(second), SAME_ERROR), float(np.max(np.abs(one - other), initial=0.0)))
+    return Agreement(gap / max(abs(first), abs(second), SAME_ERROR), max_magnitude(one - other))

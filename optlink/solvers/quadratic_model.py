@@ -4,8 +4,6 @@ The crank angles at which strokes end follow the other unknowns to first order. 
 convex, and its minimum within bounds a lower bound of the model there.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 from typing import Any

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.optimize import fmin_slsqp
 
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite, max_magnitude
 from optlink.optimization.nlp import NLP, SMALLEST_SCALE, NLPValues
 from optlink.problem.design import EPIGRAPH
 from optlink.solvers.solution import Attempt
@@ -34,7 +34,7 @@ class _View:
         self.weight, point = 1.0, nlp.at(x, p)
         if point.finite:  # SLSQP starts from a unit Hessian: scaling by the largest true curvature keeps its first step short
             hessian = nlp.hessian(x, p, np.zeros(len(low)))
-            bend = float(np.max(np.abs(np.linalg.eigvalsh(hessian)))) if np.all(np.isfinite(hessian)) else math.nan
+            bend = max_magnitude(np.linalg.eigvalsh(hessian)) if all_finite(hessian) else math.nan
             self.weight = 1.0 / bend if math.isfinite(bend) and bend > 0.0 else 1.0
         self.slope = self.size * self.weight
         self.key, self.point = (x / self.size).tobytes(), _defined(point)

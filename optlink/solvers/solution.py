@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, Validat
 
 from optlink.errors import Status
 from optlink.io import Summary
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite, max_magnitude
 from optlink.optimization.multipliers import ACTIVE, LEAST_PRICE, SAME_SUM, MultiplierSet, active_sides
 from optlink.optimization.terms import Scale, SIScale
 from optlink.problem.document import Column, Never, Number
@@ -56,7 +56,6 @@ class Backend(Protocol):
 
     def __call__(self, nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
         """Minimise from x with parameters p; `track` records the iterates, `tight` requests the tightest tolerances."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -235,7 +234,7 @@ def violation(nlp: NLP, x: Array, g: Array) -> float:
         Rows at x.
     """
     values = np.concatenate([x, g])
-    return float(np.max(np.maximum(nlp.lower - values, values - nlp.upper), initial=0.0)) if np.all(np.isfinite(g)) else math.inf
+    return float(np.max(np.maximum(nlp.lower - values, values - nlp.upper), initial=0.0)) if all_finite(g) else math.inf
 
 
 def verified_solution(
@@ -269,7 +268,7 @@ def verified_solution(
         status = Status.NON_FINITE
     else:
         status = Status.OPTIMAL if _optimal(nlp, x, p, point, conditions, residuals) else Status.STALLED
-    price = p[0] * nlp.factor * nlp.measure.slope(residuals) if np.all(np.isfinite(residuals)) else 0.0
+    price = p[0] * nlp.factor * nlp.measure.slope(residuals) if all_finite(residuals) else 0.0
     return Solution(
         source=nlp,
         x=x,
@@ -318,7 +317,7 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
     multipliers = np.zeros(len(jacobian))
     if active:
         multipliers[active] = estimate
-    kkt = float(np.max(np.abs(point.gradient + jacobian.T @ multipliers), initial=0.0))
+    kkt = max_magnitude(point.gradient + jacobian.T @ multipliers)
     return Stationarity(multipliers, active, kkt)
 
 
@@ -337,7 +336,7 @@ def tangent_space(point: NLPValues, active: Sequence[int]) -> Array:
         return unit
     _, singular, rows = np.linalg.svd(np.vstack([unit, point.jacobian])[active])
     rank = int(np.sum(singular > 1e-9 * max(singular[0], 1.0)))
-    return np.asarray(rows[rank:].T)
+    return rows[rank:].T
 
 
 def curvature(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Stationarity) -> float:
@@ -361,7 +360,7 @@ def curvature(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Statio
     if basis.shape[1] == 0:
         return math.nan
     hessian = basis.T @ nlp.hessian(x, p, conditions.multipliers[len(x) :]) @ basis
-    return float(np.linalg.eigvalsh(hessian)[0]) if np.all(np.isfinite(hessian)) else math.nan
+    return float(np.linalg.eigvalsh(hessian)[0]) if all_finite(hessian) else math.nan
 
 
 def _optimal(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Stationarity, residuals: Array) -> bool:
@@ -371,7 +370,7 @@ def _optimal(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Station
     curved that the stationary point is less than `NEXT_TO` away although the KKT residual is not tiny. Where limits that no
     design meets are exceeded within the tolerance, their multipliers are so large that this decides the objective: no optimum.
     """
-    if float(np.max(np.abs(residuals), initial=0.0)) <= nlp.exact:
+    if max_magnitude(residuals) <= nlp.exact:
         return True
     values, low, high = np.append(x, point.g), np.append(nlp.x_low, nlp.low), np.append(nlp.x_high, nlp.high)
     if float(np.abs(conditions.multipliers) @ np.maximum(np.maximum(low - values, values - high), 0.0)) > GAINED:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite, finite_or, max_magnitude
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP, BatchValues, Evaluator
 from optlink.solvers.multistart import CONVERGED, newton
@@ -148,17 +148,17 @@ def follow_optimum(nlp: NLP, near: Solution) -> Solution | None:
     rows = active[active >= n] - n
     multipliers = near.conditions.multipliers[active]
     bound = np.where(multipliers > 0.0, nlp.upper[active], nlp.lower[active])
-    if not np.all(np.isfinite(bound)):
+    if not all_finite(bound):
         return None
     unit, steps = np.eye(n), 0
     while steps < MAX_STEPS:
         values = nlp.at(x, p)
-        if not values.finite or np.max(np.abs(x - near.x), initial=0.0) > MAX_DISTANCE:
+        if not values.finite or max_magnitude(x - near.x) > MAX_DISTANCE:
             return None
         jacobian = np.vstack([unit, values.jacobian])[active]
         missing = np.concatenate([x, values.g])[active] - bound
         residual = np.concatenate([values.gradient + jacobian.T @ multipliers, missing])
-        if np.max(np.abs(residual), initial=0.0) <= CONVERGED:
+        if max_magnitude(residual) <= CONVERGED:
             break
         weights = np.zeros(len(values.g))
         weights[rows] = multipliers[len(active) - len(rows) :]
@@ -203,7 +203,7 @@ class BatchProblem:
         for begin, end in ((self.p, other.p), (self.lower, other.lower), (self.upper, other.upper)):
             with np.errstate(invalid="ignore"):
                 change = end - begin
-            problems.append(end - (1.0 - share) * np.where(np.isfinite(change), change, 0.0))
+            problems.append(end - (1.0 - share) * finite_or(change, 0.0))
         return BatchProblem(*problems)
 
 
@@ -466,16 +466,13 @@ class GridProgramme(Protocol):
     @property
     def evaluate(self) -> Evaluator:
         """Evaluates the programme."""
-        ...
 
     @property
     def kept(self) -> Index:
         """Indices of parameters."""
-        ...
 
     def problem(self, points: Index) -> BatchProblem:
         """Return the problem at points."""
-        ...
 
 
 @dataclass

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from optlink.errors import InputError
+from optlink.linkage.vector2d import all_finite
 from optlink.problem.document import Source
 from optlink.problem.file import WORDS, ProblemFile, check_plausible
 from optlink.problem.quantity import file_key
@@ -156,7 +157,7 @@ def axis_of(problem: ProblemFile, key: str, given: ArrayLike, unit: str, option:
         if unit and values.ndim and not all(read_figure(text)[1] for text in texts):
             raise InputError("a text without a unit", EXAMPLE, key=f"{option} {key}", value=given)
         return read_axis(key, ", ".join(texts))
-    if values.ndim > 1 or not values.size or values.dtype.kind not in "iuf" or not np.all(np.isfinite(values)):
+    if values.ndim > 1 or not values.size or values.dtype.kind not in "iuf" or not all_finite(values):
         remedy = "Give SI values, for example np.linspace(0.45, 0.55, 11)"
         raise InputError("not a list of finite numbers", remedy, problem.file, f"{option} {key}", given)
     if values.dtype.kind != "f" and unit:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from optlink.linkage.arguments import check_array, check_design
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite
 from optlink.optimization.output_derivatives import output_derivatives
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Source
@@ -66,7 +66,7 @@ class OutputStudy(Document):
     @property
     def valid(self) -> bool:
         """Whether the linkage can be assembled at every crank angle."""
-        return bool(np.all(np.isfinite(self.derivatives.value)))
+        return all_finite(self.derivatives.value)
 
     @cached_property
     def derivatives(self) -> OutputSensitivity:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from optlink.errors import InputError
-from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.linkage.vector2d import TURN, Array, Value, max_magnitude
 from optlink.optimization.courses import TermCourse, course_again
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.multipliers import MultiplierSet
@@ -320,7 +320,7 @@ class KKTSystem:
         first, second = self.nlp.rows[entry - n], self.nlp.rows[other - n]
         if (first.limit, first.low, first.high) != (second.limit, second.low, second.high):
             return False
-        return bool(np.max(np.abs(slopes[entry] - slopes[other])) <= DUPLICATE_SLOPE * np.max(np.abs(slopes[entry])))
+        return bool(max_magnitude(slopes[entry] - slopes[other]) <= DUPLICATE_SLOPE * np.max(np.abs(slopes[entry])))
 
     def push(self, parameter: Parameter) -> KKTPerturbation:
         """Return the effect of a parameter of the programme: a fixed quantity, or a bound."""

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from optlink.errors import InputError, Status
 from optlink.execution.worker import Runs
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, finite_or
 from optlink.optimization.courses import course_again
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP, BatchNLP
@@ -35,6 +35,7 @@ from optlink.optimization.programme import build
 from optlink.optimization.terms import rows as limit_rows
 from optlink.problem.design import DesignProblem, is_parameter
 from optlink.problem.file import ProblemFile
+from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Quantity, check_choice, place_of
 from optlink.problem.rounding import NO_GRID
 from optlink.solvers import multistart
@@ -364,7 +365,7 @@ class ReoptimiseTask(SweepTask):
         """Return the distinct optima of searches at a point from points across the bounds, best first."""
         self.programme.bind(self.model(point))
         nlp, solutions = self.programme.nlp, list[Solution]()
-        high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
+        high = finite_or(nlp.x_high, 1.0)
         begin = [nlp.lifted(x) for x in itertools.islice(multistart.latin_hypercubes(nlp.x_low, high, SEED), STARTS)]
         if self.starts > 1 and automatic(problem := self.problem.override(self.grid.changes(point))):
             best = completed(solve(problem, self.backend, rounding=NO_GRID)).design
@@ -466,7 +467,7 @@ class ParametricProgramme:
             if v.name not in nlp.helpers:
                 low, high = quantities[v.name].bounds
                 bounds[i] = v.scaled(low), v.scaled(high)
-        values = {name: quantity.value for name, quantity in quantities.items()}
+        values = sizes_of(quantities)
         with np.errstate(all="ignore"):
             rows = limit_rows(task, values, task.reach(values), self.size)
         bounds += [(row.low, row.high) for row in rows]

@@ -17,6 +17,7 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.machine.model import Problem
+from optlink.problem.mechanism import sizes_of
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
 from optlink.solvers.exchange import RADIUS, at_edge, has_accurate_integrals, largest_excess, misfit, solve_semi_infinite
@@ -46,7 +47,7 @@ class TargetProgramme:
     def bind(self, task: DesignProblem) -> bool:
         """Set parameters, bounds and limits; return whether the limits of the programme are those of the problem."""
         nlp, n = self.nlp, len(self.nlp.variables)
-        values = {name: quantity.value for name, quantity in task.quantities.items()}
+        values = sizes_of(task.quantities)
         with np.errstate(all="ignore"):
             pose = task.linkage.at(values, 0.0)
             if task.parts:

@@ -61,7 +61,6 @@ class Follower(Protocol):
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution | None:
         """Return the optimum, usable or not, of a problem with definite assembly modes near the last one; None if it has none."""
-        ...
 
 
 class TargetsFollower:

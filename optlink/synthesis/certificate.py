@@ -105,7 +105,7 @@ def certificate(problem: Problem, roots: Roots) -> Certificate:
 
 
 def _flat(*parts: Any) -> Any:
-    return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+    return np.concatenate([part.reshape(len(part), int(np.prod(part.shape[1:]))) for part in parts], axis=1)
 
 
 def _at_poses(problem: Problem, turns: Complex) -> Complex:

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
 from optlink.synthesis.pairs import Complex, Pair, closure
@@ -34,7 +33,11 @@ CORRECTIONS = (3, 9)  # Newton steps at most, with a Jacobian in double precisio
 LEAST = 1e-2  # size that a smaller coordinate counts as when roots are compared; the displacements are of size 1
 MANY = 400  # paths from which on compilation, which takes some seconds once, is worth it
 SHORTEST = (1e-9, 1e-14)  # step at which a path is given up, in double precision and in pairs
-MOST = (2000, 300)  # number of steps at which a path is given up
+MOST = (2000, 400)  # number of steps at which a path is given up
+HISTORY = 6  # last points of a path through which a polynomial predicts the next one, in pairs
+POOR = 0.01  # correction relative to the step of a path, from which on slopes in doubles are wrong
+SHARE = 0.3  # of the last step by slopes, below which they predict better than points do
+FARTHEST = 1e-2  # first correction of such a prediction, relative to the coordinates, from which on it may lead to another path
 PIVOTS = np.array([[[1, 0, -1, 0], [0] * 4], [[0, 1, 0, -1], [0] * 4], [[0] * 4, [1, 0, -1, 0]], [[0] * 4, [0, 1, 0, -1]]])
 """Derivatives of both pivots by the dyads, (4, 2, 4)."""
 
@@ -144,8 +147,8 @@ def steps(
     return change, turned
 
 
-def track(roots: Roots, start: Problem, end: Problem) -> tuple[Roots, NDArray[np.bool_]]:
-    """Return the solutions at the end of the paths from those of another problem, and which paths came to their ends.
+def track(roots: Roots, start: Problem, end: Problem) -> tuple[Roots, Array]:
+    """Return the solutions where the paths from those of another problem end, and how far each came: 1 is its end.
 
     Where doubles are too short, near singular or infinite solutions, a path is continued with 32 digits.
     """
@@ -153,13 +156,14 @@ def track(roots: Roots, start: Problem, end: Problem) -> tuple[Roots, NDArray[np
     lost = np.flatnonzero(at < 1.0)
     again, at[lost] = follow(found[lost], start, end, at[lost], True)
     found.dyads[lost], found.turns[lost] = again.dyads, again.turns
-    return found, at >= 1.0
+    return found, at
 
 
 def follow(roots: Roots, start: Problem, end: Problem, reached: Array, precise: bool) -> tuple[Roots, Array]:
     """Return the last solutions on the paths from where they were `reached`, and how far each came: 1 is its end.
 
-    A step of the classical Runge-Kutta method is corrected by Newton's method; all paths take their steps at the same time.
+    A step of the classical Runge-Kutta method is corrected by Newton's method; all paths take their steps at the same time. With
+    pairs a polynomial through the last points predicts the next one, as slopes of doubles are wrong near singular four-bars.
     """
     poses, advance = len(start.turns), steps if precise else solver(len(roots))
     begin, change = start.data, Pair(end.data) + Pair(-start.data)
@@ -169,6 +173,8 @@ def follow(roots: Roots, start: Problem, end: Problem, reached: Array, precise: 
     at = reached.copy()
     step, count = np.minimum(0.02, 0.1 * (1.0 - at)), np.zeros(len(roots), int)
     open_paths = np.flatnonzero(at < 1.0)
+    passed, points = np.full((HISTORY, len(at)), np.nan), np.empty((HISTORY, *state.high.shape), complex)
+    passed[0], points[0], least = at, state.high, np.full(len(at), np.inf)
 
     def slope(state: Complex, s: Array, *more: Any) -> Complex:
         data = begin + s[:, None, None] * change.high
@@ -188,14 +194,21 @@ def follow(roots: Roots, start: Problem, end: Problem, reached: Array, precise: 
         while len(open_paths):
             z, s = Pair(state.high[open_paths], rest[open_paths]), at[open_paths]
             h = np.minimum(step[open_paths], 1.0 - s)
-            total, rate = np.zeros_like(z.high), np.zeros_like(z.high)
-            for share, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
-                far = share * h
-                rate = slope(z.high + far[:, None] * rate, s + far, rates)
-                total += weight * rate
-            z += Pair((h / 6.0)[:, None] * total)
+            known = (h > least[open_paths]) & np.isfinite(passed[-1, open_paths])
+            fresh = np.flatnonzero(~known)
+            if len(fresh):
+                total = rate = np.zeros_like(z.high[fresh])
+                for share, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
+                    far = share * h[fresh]
+                    rate = slope(z.high[fresh] + far[:, None] * rate, s[fresh] + far, rates)
+                    total = total + weight * rate
+                moved = z[fresh] + Pair((h[fresh] / 6.0)[:, None] * total)
+                z.high[fresh], z.low[fresh] = moved.high, moved.low
+            old = open_paths[known]
+            z.high[known], z.low[known] = extrapolated(passed[:, old], points[:, old], (s + h)[known]), 0.0
             s += h
             z.high[:, 8 : 8 + poses] = start.turns + s[:, None] * change.high[2, :poses]
+            length = np.max(np.abs(z.high / state.high[open_paths] - 1.0), axis=1)
             first = last = np.full(len(s), np.inf)
             for k in range(CORRECTIONS[precise]):
                 left = np.flatnonzero((last > CONVERGED) & ((k == 0) | (last < 0.1)))
@@ -212,9 +225,13 @@ def follow(roots: Roots, start: Problem, end: Problem, reached: Array, precise: 
                     size[:, :8] += 1.0
                 last[left] = np.max(np.abs(by) / size, axis=1)
                 first = last if k == 0 else first
-            good = last < CONVERGED  # false for a number that is none
+            good = (last < CONVERGED) & ((first < FARTHEST) | ~known)  # false for numbers that are none
             taken = open_paths[good]
             state.high[taken], rest[taken], at[taken] = z.high[good], z.low[good], s[good]
+            if precise:
+                least[taken] = np.where(known, least[open_paths], np.where(first > POOR * length, SHARE * h, np.inf))[good]
+                for values, newest in ((passed, at), (points, state.high)):
+                    values[:, taken] = np.concatenate([newest[None, taken], values[:-1, taken]])
             scale = np.clip((TOLERANCE / first) ** 0.2, 0.3, 2.5)
             step[open_paths] = np.where(good, np.where(np.isfinite(scale), scale, 0.3), 0.4) * h
             count[open_paths] += 1
@@ -222,6 +239,15 @@ def follow(roots: Roots, start: Problem, end: Problem, reached: Array, precise: 
                 (at[open_paths] < 1.0) & (step[open_paths] > SHORTEST[precise]) & (count[open_paths] < MOST[precise])
             ]
     return Roots(state.high[:, :8].reshape(-1, 2, 4), state.high[:, 8:]), at
+
+
+def extrapolated(passed: Array, points: Complex, s: Array) -> Complex:
+    """Return polynomials through points (n, B, m) at places `passed` (n, B), at other places (B,)."""
+    total: Complex = np.zeros_like(points[0])
+    for j, own in enumerate(passed):
+        others = np.delete(passed, j, axis=0)
+        total += np.prod((s - others) / (own - others), axis=0)[:, None] * points[j]
+    return total
 
 
 def solver(count: int) -> Steps:

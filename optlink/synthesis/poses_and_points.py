@@ -13,6 +13,7 @@ from optlink.synthesis.pairs import Complex
 from optlink.synthesis.start_problems import COUNTS, FIVE_POINTS, NINE_POINTS, cognates, distinct, stored
 
 ROUTES = 4  # sets of paths, from different generic problems, that are followed until no four-bar is missing
+AT_END = 1e-7  # rest of a path at which one that is given up has no proper end
 
 
 @dataclass(frozen=True)
@@ -70,13 +71,14 @@ def four_bars(
     marked, real = np.zeros((0, 2 + (problem.kind == NINE_POINTS), 4), complex), np.zeros(0, bool)
     for _ in range(ROUTES):
         start, roots = route(problem.kind, rng)
-        ends, arrived = track(roots, start, problem)
-        proof = certificate(problem, ends[arrived])
+        ends, at = track(roots, start, problem)
+        proof = certificate(problem, ends[at >= 1.0])
         new = (proof.roots.dyads, proof.roots.turns, proof.marks, proof.real)
         both = [np.concatenate([old, more[proof.proven]]) for old, more in zip((dyads, turns, marked, real), new, strict=True)]
         kept = distinct(both[2])
         dyads, turns, marked, real = (each[kept] for each in both)
-        if len(dyads) >= expected:
+        without_end = np.sum((at < 1.0) & (at > 1.0 - AT_END))  # singular or infinite at the data themselves, from any start
+        if len(dyads) + without_end >= expected:
             break
     shown = Roots(dyads[real], turns[real])
     if problem.kind == NINE_POINTS and len(shown):

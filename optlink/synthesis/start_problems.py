@@ -146,8 +146,8 @@ def monodromy(poses: int, points: int, seed: int = 0) -> tuple[Problem, Roots]:
     for loop in range(LOOPS):
         corners, moved = [base, generic(), generic(), base], found
         for begin, end in itertools.pairwise(corners):
-            moved, arrived = track(moved, begin, end)
-            moved = moved[arrived]
+            moved, reached = track(moved, begin, end)
+            moved = moved[reached >= 1.0]
         both = Roots(np.concatenate([found.dyads, moved.dyads]), np.concatenate([found.turns, moved.turns]))
         found = both[distinct(marks(both.dyads, base), 1e-5)]
         print(f"{poses} poses + {points} points: {len(found)} after {loop + 1} loops", file=sys.stderr)

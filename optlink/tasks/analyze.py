@@ -25,7 +25,7 @@ from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
 from optlink.linkage.singular import AlignedPosition, near_alignment, near_singular, positions_text, strides
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, reachable, travels, within_cycle
-from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.linkage.vector2d import TURN, Array, Value, all_finite, whole_turns
 from optlink.problem.arguments import typed
 from optlink.problem.document import Renamed, Source, Tabled, reports
 from optlink.problem.driving import Driving
@@ -377,7 +377,7 @@ def _analysed(
     swings: dict[str, Travel] = {}
     strokes: dict[str, Travel] = {}
     unbounded: tuple[str, ...] = ()
-    count = GRID * (max(1, round(cycle / TURN)) if ranges.full else 1)
+    count = GRID * (whole_turns(cycle) if ranges.full else 1)
     grid = even = np.asarray(low + (high - low) / count * np.arange(count + 1), dtype=float)
     if ranges.singular:  # two branches continue the motion: it is not determined as a whole
         singular = _undetermined(columns, singular, ranges.singular, low, high)
@@ -584,7 +584,7 @@ def _missing_notes(
         several = np.broadcast_to(MotionColumns(machine.moving(jammed, speed)).reactions.several, jammed.shape).astype(bool)
     if undefined.size:
         columns = MotionColumns(machine.moving(undefined, speed)).columns
-        guilty = {name.rpartition(".")[0] for name, column in columns.items() if not np.all(np.isfinite(column.values))}
+        guilty = {name.rpartition(".")[0] for name, column in columns.items() if not all_finite(column.values)}
     loads = ", ".join(load.name for load in machine.loads if load.name in guilty) or "a load"
     for angles, what in (
         (jammed[~several], "friction jams a guide: no forces satisfy its law"),

@@ -15,8 +15,8 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Effects, with_counterweight
 from optlink.dynamics.machine import Inertia, Machine, Parameters
 from optlink.dynamics.strokes import poles
-from optlink.errors import InputError, Status
-from optlink.linkage.vector2d import Array
+from optlink.errors import InputError, Status, given_as
+from optlink.linkage.vector2d import Array, max_magnitude
 from optlink.optimization.pareto_front import knee
 from optlink.problem.arguments import typed
 from optlink.problem.file import AnyProblem, ProblemFile, fixed_design, problem_of
@@ -231,11 +231,8 @@ def balance(
 
 def _minimising(text: str, option: str, problem: ProblemFile) -> ProblemFile:
     """Return the problem with the objective that a text names."""
-    try:
+    with given_as(problem.file, option, text):
         return problem.override({"balance.objective": text})
-    except InputError as error:
-        fault = error.faults[0]
-        raise InputError(fault.message, fault.remedy, problem.file, option, text) from None
 
 
 def _pair(text: str, problem: ProblemFile) -> list[Term]:
@@ -298,8 +295,8 @@ def _disagreement(task: _Task, terms: Sequence[Term], record: MotionColumns, x: 
     worst, parameters = 0.0, x * task.programme.scales
     for term in terms:
         affine, amount = task.effects.affine(partial(amounts, term=term)), amounts(record, term)
-        size = max(float(np.max(np.abs(affine.offset))), float(np.max(np.abs(affine.matrix * parameters), initial=0.0)), 1e-300)
-        worst = max(worst, float(np.max(np.abs(affine.at(parameters) - amount))) / size)
+        size = max(max_magnitude(affine.offset), max_magnitude(affine.matrix * parameters), 1e-300)
+        worst = max(worst, max_magnitude(affine.at(parameters) - amount) / size)
     return worst
 
 

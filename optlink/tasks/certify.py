@@ -14,7 +14,7 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.execution.worker import Runs
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, max_magnitude
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.taylor_model import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
@@ -225,7 +225,7 @@ class _Search:
         sizes = squares.value[0]
         top = np.flatnonzero(sizes >= (1.0 - NEAR_LARGEST) * np.max(sizes))
         rows = np.hstack([squares.linear[:, 0][:, top], -slopes[:, active]])[inside]
-        scale = 1e3 * max(float(np.max(np.abs(rows), initial=0.0)), 1e-300)
+        scale = 1e3 * max(max_magnitude(rows), 1e-300)
         total = np.concatenate([np.full(len(top), scale), np.zeros(len(active))])
         solution = least_squares(np.vstack([rows, total]), np.append(np.zeros(len(rows)), scale))
         weights[:] = 0.0

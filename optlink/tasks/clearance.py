@@ -39,7 +39,7 @@ from optlink.execution import interrupts
 from optlink.execution.options import Checkpoints
 from optlink.io import Summary
 from optlink.linkage.arguments import check_array
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, max_magnitude
 from optlink.problem.arguments import typed
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_range, input_of, nearest
@@ -109,7 +109,7 @@ class _Setting:
             raise InputError(str(error), remedy, self.file.file, f"bodies.{error.body}") from None
         if section is not None and sampled:
             angles = self.start + math.copysign(TURN, self.nominal) * np.arange(closed_loop.samples) / closed_loop.samples
-            ideal = np.broadcast_to(np.asarray(self.output.ideal(self.machine.moving(angles))[0]), angles.shape)
+            ideal = np.broadcast_to(self.output.ideal(self.machine.moving(angles))[0], angles.shape)
             gains = Gains(section.proportional, section.integral, section.derivative, section.limit.value)
             lever = leverage(self.machine, self.output, angles, self.regularisation)
             closed_loop.controller = Controller(PID(gains, closed_loop.sample_time), ideal, lever, not self.output.guide)
@@ -147,7 +147,7 @@ class _Setting:
         if section is not None and section.regularisation is not None:
             return section.regularisation.value
         rates = self.output.ideal(self.machine.moving(np.linspace(0.0, TURN, 361)))[1]
-        return 0.1 * float(np.max(np.abs(rates)))
+        return 0.1 * max_magnitude(rates)
 
 
 @typed
@@ -421,7 +421,7 @@ def inverse_model(
             message = "expected the output at three or more equal intervals of a revolution"
             raise InputError(message, "Give an array (n,) in m or rad", key="displacement", value=f"{given.shape} array")
         angles = setting.start + math.copysign(TURN, setting.nominal) * np.arange(len(given)) / len(given)
-        ideal = np.broadcast_to(np.asarray(setting.output.ideal(setting.machine.moving(angles))[0]), angles.shape)
+        ideal = np.broadcast_to(setting.output.ideal(setting.machine.moving(angles))[0], angles.shape)
         inverse.target = inverse.target + resample(setting.output.difference(given, ideal), len(inverse.target))
     return InverseMotion(*inverse.motion(setting.regularisation, setting.bandwidth))
 
@@ -535,9 +535,6 @@ def _setting(
 
 
 def _check(revolutions: int, points: int, tolerance: float) -> None:
-    for name, number in (("revolutions", revolutions), ("points", points)):
-        if not math.isfinite(number) or int(number) != number:
-            raise InputError("not a whole number", "Give for example 360", key=name, value=number)
     check_range("revolutions", revolutions, 1, 10_000_000)
     check_range("points", points, 12, 100_000)
     if not 1e-13 <= tolerance <= 1e-4:

@@ -1,14 +1,12 @@
 """`optlink.gradient` and `optlink.hessian`: derivatives of the objective and of the limits of a design problem, by name."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from optlink.errors import InputError, nearest
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, max_magnitude
 from optlink.problem.arguments import typed
 from optlink.problem.file import AnyProblem, problem_of
 from optlink.tasks.programme import Programme, build, cosines, moved_rows, slot_of
@@ -57,7 +55,7 @@ class _Local:
             self.x = self.x.copy()
             self.x[added] -= np.linalg.lstsq(curvature, self.values.gradient[added], rcond=None)[0]
             self.values = self.programme.at(self.x)
-        if not np.max(np.abs(self.x - start)) < NEAR:
+        if not max_magnitude(self.x - start) < NEAR:
             message = "this design does not pass all points where it comes nearest to them"
             raise InputError(message, "Give one that follows the points, such as that of a solution", key="design")
 

@@ -1,7 +1,5 @@
 """Find all linkages that meet targets exactly: poses, points, both, timed points, or points of a function."""
 
-from __future__ import annotations
-
 import cmath
 import itertools
 import time
@@ -10,17 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from optlink.errors import InputError
+from optlink.errors import InputError, given_as
 from optlink.linkage.mechanism import Arm
 from optlink.problem.arguments import typed
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.requirements.base import pose_angles
 from optlink.problem.terms import QUANTITIES, Goal, read_words
-from optlink.synthesis.five_poses import FourBarSolution, link
+from optlink.synthesis.five_poses import ONE_CENTRE, FourBarSolution, link, special
+from optlink.synthesis.four_poses import POSES
 from optlink.synthesis.poses_and_points import four_bars
 from optlink.synthesis.start_problems import COUNTS, FIVE_POINTS
-from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, loop_of, marked
+from optlink.tasks.five_targets import CONDITIONS, FiveTargets, alone, loop_of, marked, places_of
 from optlink.tasks.four_poses import CHEAP
 from optlink.tasks.results.design import NO_SEARCH, SynthesisResult, of_designs
 from optlink.tasks.results.exact import ExactSolutions
@@ -28,6 +27,7 @@ from optlink.units import count_noun
 
 SAME_POINT = 1e-10  # distance of points that are one, relative to that of others
 REPEATED_POINT = "points {} and {} are the same: infinitely many four-bars pass through the others"
+ONE_JOINT = "the body turns about one point in all poses: infinitely many four-bars have a joint there"
 NUMBERS = ("", "one", "two", "three", "four", "five", "six", "seven", "eight")
 ON_GIVEN_PIVOTS = 5  # dimensions of a four-bar with a point, besides its pivots, and conditions of as many points
 
@@ -37,10 +37,9 @@ class PosesAndPoints(FiveTargets):
 
     def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
         """Return the numbers of roots, and the real four-bars, each driven at either link unless the pivots are given."""
-        columns, posed = self.task.data.columns, self.task.target_points.posed
-        pivots = given_pivots(self.task) if len(columns) == ON_GIVEN_PIVOTS else None
-        places = columns[:, 0] + 1j * columns[:, 1]
-        wanted = pose_angles(columns)[posed] if posed.any() else np.zeros(1)
+        places, posed = places_of(self.task), self.task.target_points.posed
+        pivots = given_pivots(self.task) if len(places) == ON_GIVEN_PIVOTS else None
+        wanted = pose_angles(self.task.data.columns)[posed] if posed.any() else np.zeros(1)
         poses, either = len(wanted), pivots is None
         kind = f"{NUMBERS[poses]} poses and {NUMBERS[len(places) - poses]} points"
         if poses == 1:
@@ -51,6 +50,9 @@ class PosesAndPoints(FiveTargets):
             same = abs(places[i] - places[j]) <= SAME_POINT * np.max(np.abs(places - places[0]))
             if same and not (posed[i] and posed[j]):
                 return replace(counts, special=REPEATED_POINT.format(i + 1, j + 1)), ()
+        relative = (places - places[0])[posed] / np.max(np.abs(places - places[0]))
+        if poses == POSES and (sentence := special(relative, wanted)):
+            return replace(counts, special=ONE_JOINT if sentence == ONE_CENTRE else sentence), ()
         order = np.argsort(~posed, kind="stable")  # poses first
         found, back = four_bars(places[order], wanted, pivots=pivots), np.argsort(order)
         pairs = []
@@ -100,12 +102,8 @@ def _ranking(problem: ProblemFile, text: str) -> Goal:
         raise InputError("not a quantity of the machine", remedy, problem.file, "--by", text)
     keys.setdefault("sense", "maximise" if keys.get("measure") == "least" else "minimise")
     weights = {} if problem.spec.requirement.limited else {"requirement.weight": 1.0, "requirement.scale": None}
-    try:
-        goal: Goal = problem.override({**weights, "objective": {"terms": [keys]}}).spec.goals[0]
-    except InputError as error:
-        fault = error.faults[0]
-        raise InputError(fault.message, fault.remedy, problem.file, "--by", text) from None
-    return goal
+    with given_as(problem.file, "--by", text):
+        return problem.override({**weights, "objective": {"terms": [keys]}}).spec.goals[0]
 
 
 def listing(problem: ProblemFile) -> type[FiveTargets] | None:

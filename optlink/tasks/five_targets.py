@@ -1,7 +1,5 @@
 """All linkages that meet five targets exactly: poses, timed points, or points of a function, each judged."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,8 +7,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optlink.errors import Status
+from optlink.io import keeping
 from optlink.linkage.bodies import FRAME, Guide, Link
 from optlink.linkage.dyads import RRP
 from optlink.linkage.fourbar import InnerFourBar
@@ -134,8 +134,7 @@ class FiveTargets:
     def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
         """Return the numbers of roots, and the four-bars that they make, each with the link that is its crank."""
         task = self.task
-        points = task.data.columns
-        places = points[:, 0] + 1j * points[:, 1]
+        places = places_of(task)
         pairs: Sequence[FourBarSolution]
         if task.law_given:
             kind = "five points of a function"
@@ -144,7 +143,7 @@ class FiveTargets:
             assert task.data.offsets is not None
             kind, (found, pairs) = "five timed points", timed_paths(places, task.data.offsets)
         else:
-            angles = np.unwrap(pose_angles(points))
+            angles = np.unwrap(pose_angles(task.data.columns))
             kind, found = "five poses", dyads(places, angles)
             links = [dyad for dyad in found.real if dyad.kind == "RR"]
             pairs = [FourBarSolution(a, b, places, angles) for a in links for b in links if a is not b]
@@ -199,7 +198,7 @@ class FiveTargets:
                 reasons.append("rounding: small errors of its sizes move it off the targets")
             transmission = transmission if reasons else design.least_transmission
             figure, error = self._figure(design), design.largest_between if task.law_given else None
-        shown = {name: value for name, value in values.items() if name in task.quantities}
+        shown = keeping(values, *task.quantities)
         solution = ExactSolution(shown, mode, transmission, certified, tuple(reasons), figure, float(phi[0]), error)
         return _Found(solution, variant or 0, design)
 
@@ -256,6 +255,12 @@ def frame_direction(task: DesignProblem) -> float:
     loop, values = loop_of(task), task.design({})
     direction = loop.guide.direction if isinstance(loop, SliderCrank) else task.frame_angle or 0.0
     return float(values[direction] if isinstance(direction, str) else direction)
+
+
+def places_of(task: DesignProblem) -> NDArray[np.complex128]:
+    """Return the target points [m] as complex numbers x + iy."""
+    columns = task.data.columns
+    return columns[:, 0] + 1j * columns[:, 1]
 
 
 def alone(task: DesignProblem, count: int) -> bool:
@@ -343,7 +348,7 @@ def prescribed(task: DesignProblem) -> bool:
     )
     if not suitable or task.everywhere:
         return False
-    return bool(np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12))
+    return np.allclose(_rises(task, *TRIALS[0]), _rises(task, *TRIALS[1]), rtol=0.0, atol=1e-12)
 
 
 def rises(task: DesignProblem) -> Array:

@@ -1,7 +1,5 @@
 """Families of linkages that meet the targets of a problem: the best ones, curves of dyads, and the four-bar of two given ones."""
 
-from __future__ import annotations
-
 import cmath
 import math
 import time
@@ -33,6 +31,7 @@ from optlink.tasks.five_targets import (
     in_words,
     loop_of,
     marked,
+    places_of,
     quantities_of,
     rises,
 )
@@ -60,7 +59,7 @@ def curves_of(task: DesignProblem) -> DyadCurves | None:
     columns = task.data.columns
     if task.requirement.kind != "motion" or len(columns) != POSES or not task.target_points.posed.all():
         return None
-    return curves(columns[:, 0] + 1j * columns[:, 1], np.unwrap(pose_angles(columns)))
+    return curves(places_of(task), np.unwrap(pose_angles(columns)))
 
 
 def applies(task: DesignProblem) -> bool:
@@ -90,8 +89,7 @@ def family_of(task: DesignProblem) -> Family:
         return FunctionFamily(task.law.offsets, rises(task), task.slides)
     if task.requirement.kind == "path":
         assert task.data.offsets is not None
-        columns = task.data.columns
-        return TimedFamily(columns[:, 0] + 1j * columns[:, 1], task.data.offsets)
+        return TimedFamily(places_of(task), task.data.offsets)
     sides = _sides(task)
     assert sides is not None
     return PoseFamily(*sides)

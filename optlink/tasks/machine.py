@@ -13,7 +13,7 @@ from optlink.dynamics.strokes import SAMPLES, irregular
 from optlink.errors import InputError
 from optlink.linkage.singular import positions_text
 from optlink.linkage.stroke import Ranges, failure
-from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.linkage.vector2d import TURN, Array, Value, whole_turns
 from optlink.problem.driving import Driving
 from optlink.problem.file import AnyProblem, ProblemFile, check_plausible, problem_of
 from optlink.problem.quantity import check_choice, check_scalar, input_of, read_quantity
@@ -290,8 +290,8 @@ def check_range_reached(problem: ProblemFile, machine: Machine) -> None:
         raise InputError(message, remedy, problem.file, "drive.range", problem.at("drive.range"))
 
 
-def check_one_crank(problem: ProblemFile, machine: Machine, what: str, *, geared: bool = False, linear: bool = False) -> None:
-    """Refuse a machine with laws or several drives, and unless allowed one with couplings, or driven along a line.
+def check_one_crank(problem: ProblemFile, machine: Machine, what: str, *, linear: bool = False) -> None:
+    """Refuse a machine with laws, several drives or couplings, and unless allowed one driven along a line.
 
     Raises
     ------
@@ -304,7 +304,7 @@ def check_one_crank(problem: ProblemFile, machine: Machine, what: str, *, geared
         key = "drives" if problem.model.drives else "drive"
         remedy = "`optlink analyze` computes its motion, forces and work; or drive one crank at constant speed"
         raise InputError(f"{what} of a machine with a prescribed motion is not supported", remedy, problem.file, key)
-    if mechanism.singles and not geared and not alone:
+    if mechanism.singles and not alone:
         names = ", ".join(element.name for element in mechanism.elements)
         remedy = "`optlink analyze` computes its motion, forces and work; or leave them out"
         raise InputError(f"{what} of a machine with {names} is not supported", remedy, problem.file, "mechanism")
@@ -372,7 +372,7 @@ def table_angles(start: float, low: float, high: float, speed: float, ranges: Ra
         count = points if step is None else max(1, round((high - low) / step))
         return np.asarray(first + (last - first) * (np.arange(count + 1) / count), dtype=float)
     if step is None:
-        rows = points * max(1, round((high - low) / TURN))
+        rows = points * whole_turns(high - low)
         return np.asarray(start + direction * TURN * np.arange(rows + 1) / points, dtype=float)
     count = math.floor((high - low) / step * (1.0 + 1e-12))
     return np.asarray(start + direction * step * np.arange(count + 1), dtype=float)

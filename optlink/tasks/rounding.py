@@ -5,8 +5,6 @@ which it divides at the size that lies farthest from the grid. The end of a node
 its local optimum is the best in its box.
 """
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import math
@@ -105,7 +103,13 @@ class _Search:
 
     def sizes(self, solution: Solution) -> list[float]:
         """Return the rounded sizes [SI] of a solution."""
-        return [v.value(float(solution.x[k])) for v, k in zip(self.variables, self.at, strict=True)]
+        return self._sizes(solution.x)
+
+    def _sizes(self, x: Array) -> list[float]:
+        return [v.value(float(x[k])) for v, k in zip(self.variables, self.at, strict=True)]
+
+    def _nearest(self, sizes: Sequence[float]) -> list[float]:
+        return [grid.nearest(size) for grid, size in zip(self.grids.values(), sizes, strict=True)]
 
     def boxed(self, low: Array, high: Array, start: Solution) -> Solution:
         """Return the optimum in a box of the grid, near another one or, where none is found, near its middle."""
@@ -156,7 +160,7 @@ class _Search:
     def corners(self) -> Iterator[list[float]]:
         """Yield the nearest values of the grid, and the other ones about the optimum if there are few."""
         sizes = self.sizes(self.top)
-        yield [grid.nearest(value) for grid, value in zip(self.grids.values(), sizes, strict=True)]
+        yield self._nearest(sizes)
         if len(sizes) <= CORNERS:
             sides = [{grid.below(value), grid.above(value)} for grid, value in zip(self.grids.values(), sizes, strict=True)]
             yield from (list(corner) for corner in itertools.product(*sides))
@@ -181,8 +185,7 @@ class _Search:
     def _whole(self, progress: Progress, tries: int) -> None:
         """Search the whole grid, best bound first; every node is a programme."""
         most = tries or WHOLE
-        low = np.array([v.value(float(self.nlp.x_low[k])) for v, k in zip(self.variables, self.at, strict=True)])
-        high = np.array([v.value(float(self.nlp.x_high[k])) for v, k in zip(self.variables, self.at, strict=True)])
+        low, high = (np.array(self._sizes(ends)) for ends in (self.nlp.x_low, self.nlp.x_high))
         count = itertools.count()
         open_nodes = [_Node((self.top.objective, 0), low, high, self.top)]
         while open_nodes:
@@ -195,7 +198,7 @@ class _Search:
             sizes = self.sizes(node.solution)
             shares = [grid.off(value) for grid, value in zip(self.grids.values(), sizes, strict=True)]
             if not any(shares):
-                self.build([grid.nearest(value) for grid, value in zip(self.grids.values(), sizes, strict=True)], node.solution)
+                self.build(self._nearest(sizes), node.solution)
                 continue
             j = int(np.argmax(shares))
             grid = list(self.grids.values())[j]
@@ -236,7 +239,7 @@ class _Search:
         Each is found by going down from the best open node of its quadratic model to the better of two, until it is on the grid.
         """
         nlp, p, count = self.nlp, self.top.p, itertools.count()
-        sizes, grids = [v.value(float(x[k])) for v, k in zip(self.variables, self.at, strict=True)], list(self.grids.values())
+        sizes, grids = self._sizes(x), list(self.grids.values())
         reach = np.full(len(x), FARTHEST)
         reach[nlp.first_level :] = math.inf if nlp.first_level else FARTHEST
         reach[self.at] = [STEPS * grid.width(size) / v.size for grid, size, v in zip(grids, sizes, self.variables, strict=True)]
@@ -263,7 +266,7 @@ class _Search:
                 for grid, size in zip(grids, here, strict=True)
             ]
             if not any(shares):
-                made_of = [grid.nearest(size) for grid, size in zip(grids, here, strict=True)]
+                made_of = self._nearest(here)
                 if tuple(made_of) in self.evaluated:
                     continue
                 end = x + model.follow @ change

@@ -42,6 +42,16 @@ def design_task(problem: ProblemFile) -> DesignTask[Any]:
     return task
 
 
+class _Options(Execution, total=False):
+    """Options of `solve` that do not determine the kind of its result."""
+
+    track: bool
+    gap: float
+    time_limit: float
+    proving: Proving
+    rounding: str | Mapping[str, object] | None
+
+
 @overload
 def solve(
     problem: AnyProblem,
@@ -51,13 +61,8 @@ def solve(
     progress: Progress = ...,
     *,
     designs: int | None = ...,
-    track: bool = ...,
     certify: Literal[True],
-    gap: float = ...,
-    time_limit: float = ...,
-    proving: Proving = ...,
-    rounding: str | Mapping[str, object] | None = ...,
-    **execution: Unpack[Execution],
+    **options: Unpack[_Options],
 ) -> SynthesisResult: ...
 @overload
 def solve(
@@ -68,13 +73,8 @@ def solve(
     progress: Progress = ...,
     *,
     designs: int,
-    track: bool = ...,
     certify: bool | None = ...,
-    gap: float = ...,
-    time_limit: float = ...,
-    proving: Proving = ...,
-    rounding: str | Mapping[str, object] | None = ...,
-    **execution: Unpack[Execution],
+    **options: Unpack[_Options],
 ) -> SynthesisResult: ...
 @overload
 def solve(
@@ -85,13 +85,8 @@ def solve(
     progress: Progress = ...,
     *,
     designs: int | None = ...,
-    track: bool = ...,
     certify: bool | None = ...,
-    gap: float = ...,
-    time_limit: float = ...,
-    proving: Proving = ...,
-    rounding: str | Mapping[str, object] | None = ...,
-    **execution: Unpack[Execution],
+    **options: Unpack[_Options],
 ) -> DesignResult: ...
 @typed
 def solve(

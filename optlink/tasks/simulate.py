@@ -18,7 +18,7 @@ from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.stroke import Ranges, failure
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, finite_or, max_magnitude
 from optlink.problem.arguments import typed
 from optlink.problem.document import Columns, Number, Renamed, Source, Tabled
 from optlink.problem.driving import end_with_speed
@@ -243,7 +243,7 @@ def simulate(
         if freedom.controller is not None:
             column = f"{name}.error_{'rad' if freedom.drive.kind == 'angle' else 'm'}"
             columns[column], meanings[column] = one.error, f"distance from {name} to its law"
-            figures[column.replace("error", "largest_error")] = far = float(np.max(np.abs(one.error)))
+            figures[column.replace("error", "largest_error")] = far = max_magnitude(one.error)
             notes.append(f"the drive {name} is at most {far:.4g} {column.rpartition('_')[2]} from its law")
     if result.ending is Ending.AT_STOP:  # the balance of the last row is that of drive and stop together
         effort = efforts(machine.mechanism)[0]
@@ -370,7 +370,7 @@ def _columns(machine: Machine, result: Run) -> tuple[dict[str, Array], dict[str,
     columns = {"time_s": result.time, first: np.degrees(result.crank_angle)}
     meanings = {"time_s": "time", first: what}
     for name, column in tabulated(moving, len(result.time)).columns.items():
-        columns[name], meanings[name] = np.where(np.isfinite(column.values), column.values, np.nan), column.meaning
+        columns[name], meanings[name] = finite_or(column.values, np.nan), column.meaning
         if name == "input.power_W":
             columns["input.work_J"], meanings["input.work_J"] = result.works["input"], "work of the drive, integrated"
     for name, work in result.works.items():

@@ -17,7 +17,7 @@ from optlink.linkage.dyads import RPR, RRR
 from optlink.linkage.fourbar import LENGTHS, classify
 from optlink.linkage.mechanism import Dyad
 from optlink.linkage.motion import Motion
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, finite_or, max_magnitude
 from optlink.problem.document import Number
 from optlink.problem.limits import Limits, Moved, TransmissionLimit, limits_in_file
 from optlink.problem.machine.model import Problem
@@ -254,7 +254,7 @@ def revolutions_check(crank: Array, target: Array, moved: Callable[[], Array]) -
     begun = np.isfinite(target) | (np.arange(target.shape[1]) > 0)
     with np.errstate(invalid="ignore"):
         applies = np.any(np.abs(np.diff(target, axis=1)) > LONG_STEP, axis=1)
-    if not np.any(applies) and np.max(np.abs(np.diff(crank)), initial=0.0) <= SHORT_ROTATION:
+    if not np.any(applies) and max_magnitude(np.diff(crank)) <= SHORT_ROTATION:
         return
     actual = moved()
     with np.errstate(invalid="ignore"):
@@ -262,7 +262,7 @@ def revolutions_check(crank: Array, target: Array, moved: Callable[[], Array]) -
     if not np.any(applies):
         return
     revolutions = (target - actual) / math.tau
-    whole = np.round(np.where(np.isfinite(revolutions), revolutions, np.nan))
+    whole = np.round(finite_or(revolutions, np.nan))
     some = np.abs(revolutions - whole) < 0.25
     least, most = np.min(np.where(some, whole, np.inf), axis=1), np.max(np.where(some, whole, -np.inf), axis=1)
     range_of_errors = np.where(np.any(some, axis=1), most - least, 0.0)
@@ -376,10 +376,10 @@ def squared_sines(motion: Motion) -> Array:
 
 def _median(values: Array) -> Array:
     """Return the median (..., 1) of the finite ones of values (..., n), without numpy's masked arrays; NaN if there is none."""
-    rising = np.sort(np.where(np.isfinite(values), values, np.nan), axis=-1)
+    rising = np.sort(finite_or(values, np.nan), axis=-1)
     count = np.count_nonzero(np.isfinite(values), axis=-1, keepdims=True)
     low, high = (np.take_along_axis(rising, np.maximum(place, 0), axis=-1) for place in ((count - 1) // 2, count // 2))
-    return np.asarray(0.5 * (low + high))
+    return 0.5 * (low + high)
 
 
 def alignment_check(group: Dyad, single: bool, sine: ArrayLike, limits: Limits, where: str) -> Checks:

@@ -9,11 +9,12 @@ import numpy as np
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.machine import Acting, Load, Machine, Moving, Parameters, slider_names
 from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
+from optlink.io import keeping
 from optlink.linkage.extrema import distinct, extremes, maxima
 from optlink.linkage.motion import sweep
 from optlink.linkage.singular import AlignedPosition
 from optlink.linkage.stroke import Ranges, Travel, reachable, travels
-from optlink.linkage.vector2d import TURN, Array, turn
+from optlink.linkage.vector2d import TURN, Array, max_magnitude, turn, whole_turns
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import stroke_ratio
 from optlink.problem.quantity import Unusable
@@ -83,7 +84,7 @@ class Cycle:
     @cached_property
     def positions(self) -> Array:
         """Evenly spaced crank angles [rad] of a cycle, or of the range of the drive, with its end."""
-        return np.linspace(self.low, self.high, POSITIONS * max(1, round(self.cycle / TURN)) + 1)
+        return np.linspace(self.low, self.high, POSITIONS * whole_turns(self.cycle) + 1)
 
     @property
     def longest(self) -> float:
@@ -162,7 +163,7 @@ class Cycle:
         assert term.direction is not None
         way = np.array([math.cos(term.direction.value), math.sin(term.direction.value)])
         low, high = self._motion
-        grid = np.linspace(low, high, POSITIONS * max(1, round((high - low) / TURN)) + 1)
+        grid = np.linspace(low, high, POSITIONS * whole_turns(high - low) + 1)
 
         def along(at: Array) -> Array:
             placed: Array = sweep(self.mechanism, self.design, at).position(str(term.of)) @ way
@@ -252,9 +253,9 @@ class Cycle:
             return 0.0
         if term.how != "mean":
             power = MotionColumns(self.machine.moving(self.positions, self.speed))["input.power_W"]
-            return float(np.max(np.abs(power))) / abs(self.speed) * (self.mechanism.extent[1] - self.mechanism.extent[0])
+            return max_magnitude(power) / abs(self.speed) * (self.mechanism.extent[1] - self.mechanism.extent[0])
         machine, read = self.history(term)
-        return float(np.max(np.abs(read(MotionColumns(machine.moving(self.positions, self.speed))))))
+        return max_magnitude(read(MotionColumns(machine.moving(self.positions, self.speed))))
 
     def natural(self) -> float:
         """Return the value [unit of the objective] below which the objective is a rounding error."""
@@ -273,16 +274,16 @@ class Cycle:
         powers = [record["input.power_W"]]
         powers += [record[f"{guide}.friction_N"] * record[f"{names[guide]}.v_m_s"] for guide in self.machine.friction]
         acting = [force for load in self.machine.loads for force in load.act(moving)]
-        powers += [np.broadcast_to(np.asarray(force.power(moving.state(force.body))), points.size) for force in acting]
+        powers += [np.broadcast_to(force.power(moving.state(force.body)), points.size) for force in acting]
 
         def whole(power: Array) -> float:
             return float(np.sum(half * (power.reshape(-1, len(NODES)) @ WEIGHTS))) / self.speed
 
         fed = math.fsum(abs(whole(np.abs(power))) for power in powers)
-        stored, gained = float(np.max(np.abs(moving.kinetic), initial=0.0)), 0.0
+        stored, gained = max_magnitude(moving.kinetic), 0.0
         if self.limits is not None:
             ends = self.machine.moving(np.array([self.low, self.high]), self.speed)
-            energy = np.broadcast_to(np.asarray(ends.kinetic + self.machine.weight(ends.state)), 2)
+            energy = np.broadcast_to(ends.kinetic + self.machine.weight(ends.state), 2)
             gained = float(energy[1] - energy[0])
         return abs(math.fsum(whole(power) for power in powers) - gained) / max(fed + stored, 1e-300)
 
@@ -290,6 +291,6 @@ class Cycle:
 def cycle_of(problem: DesignProblem, values: Mapping[str, float]) -> Cycle | None:
     """Return a design [SI] in motion; None if it cannot be built."""
     try:
-        return Cycle(problem, {name: value for name, value in values.items() if name in problem.mechanism.quantities})
+        return Cycle(problem, keeping(values, *problem.mechanism.quantities))
     except Unusable:
         return None

@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from optlink.io import keeping
 from optlink.linkage.dyads import RRR, transmitting
 from optlink.linkage.extrema import extremes_of_rows
 from optlink.linkage.fourbar import inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.linkage.vector2d import TURN, Array, Value, max_magnitude, whole_turns, wrapped
 from optlink.problem.design import STEP, DesignProblem
 from optlink.problem.limits import Bound, RegionLimit, limits_in_file
 from optlink.problem.quantity import Unusable
@@ -105,9 +106,7 @@ def validate(
         from optlink.validation.cycle import Cycle
 
         try:
-            cycle = cycle or Cycle(
-                problem, {name: value for name, value in design.items() if name in problem.mechanism.quantities}
-            )
+            cycle = cycle or Cycle(problem, keeping(design, *problem.mechanism.quantities))
         except Unusable as error:
             return Validation((Check(f"the machine can be made: {error.message}", False, math.nan, "yes", ""),), math.nan)
         checks += [] if problem.parts else [*_machine_sizes(cycle), *_machine_motion(cycle)]
@@ -236,7 +235,7 @@ class _Tested:
         low, high = self.problem.linkage.extent
         if not self.limited:
             return self._motion(np.linspace(low, high, POSITIONS, endpoint=False), closed=True)
-        return self._motion(np.linspace(low, high, POSITIONS * max(1, round((high - low) / TURN)) + 1), span=high - low)
+        return self._motion(np.linspace(low, high, POSITIONS * whole_turns(high - low) + 1), span=high - low)
 
     @property
     def limited(self) -> bool:
@@ -407,7 +406,7 @@ def point_deviations(
     if MARK in problem.quantities:
         angle = motion.wrapped_angle(problem.body) + values[MARK]
         wanted = pose_angles(targets)
-        turned = np.where(np.isnan(wanted), 0.0, np.remainder(angle - wanted + math.pi, TURN) - math.pi)
+        turned = np.where(np.isnan(wanted), 0.0, wrapped(angle - wanted))
         squares = squares + (problem.radian * turned) ** 2
     return generated, distances, turned, squares
 
@@ -560,7 +559,7 @@ class _Law(_Targets):
 
     def difference(self, one: Array, other: Array) -> Array:
         """Return the difference of two outputs [rad, of angles within half a turn, or m]."""
-        return one - other if self.problem.slides else np.asarray(np.remainder(one - other + np.pi, TURN) - np.pi)
+        return one - other if self.problem.slides else np.asarray(wrapped(one - other))
 
     def _error(self, actual: Array, at: Array, tabulated: Value = 0.0) -> Array:
         """Return actual minus prescribed output at crank rotations from the start [rad]."""
@@ -804,7 +803,7 @@ def _machine_sizes(tested: Cycle) -> Iterator[Check]:
             link, motion = tested.mechanism.bodies[drive.body], tested.revolution
             ends = [tested.design[end] if isinstance(end, str) else float(end or 0.0) for end in (drive.begin, drive.end)]
             lengths = sweep(tested.mechanism, tested.design, motion.angles[[0, -1]]).distance(link.start, link.end)
-            error = float(np.max(np.abs(lengths - ends)))
+            error = max_magnitude(lengths - ends)
             limit = LENGTH_TOLERANCE * size
             yield Check(f"{drive.body} moves from end to end", error <= limit, error * 1e3, f"<= {limit * 1e3:.1e}", "mm")
 

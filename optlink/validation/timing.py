@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, finite_or
 from optlink.problem.design import STEP, DesignProblem
 from optlink.validation.design import point_deviations
 from optlink.validation.motion import placed
@@ -55,7 +55,7 @@ def _squares(problem: DesignProblem, design: Mapping[str, float], angles: Array)
     """Return the weighted squares of the deviations of every point (points, k) at crank angles (points, k) or (points,)."""
     data, motion = problem.data, placed(problem.linkage, design, np.atleast_2d(angles.T).T)
     squares, far = point_deviations(problem, motion, design, data.columns[:, None])[-1], (FAR * problem.size) ** 2
-    return np.where(np.isfinite(squares), squares, far) * data.roots[:, None] ** 2
+    return finite_or(squares, far) * data.roots[:, None] ** 2
 
 
 def _one_way(problem: DesignProblem, design: Mapping[str, float], way: float) -> tuple[Array, float]:

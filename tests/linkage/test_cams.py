@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from optlink.linkage import cams
-from optlink.linkage.cams import Arm, DiscCam, Face, Roller, Slide, least_base_radius
+from optlink.linkage.cams import Arm, DiscCam, Face, Roller, Slide
 from optlink.linkage.jet import Jet
-from tests.tiers import mostly_slow
 
 TURN = 2.0 * math.pi
 ANGLES = np.linspace(0.0, TURN, 360, endpoint=False)
@@ -278,54 +277,9 @@ def test_a_narrow_groove_undercuts_on_its_outer_flank_alone():
     assert not np.any(DiscCam(lift, Slide(), Roller(0.98 * hollow), 0.035 - 0.98 * hollow).at(ANGLES, outer=True).undercut)
 
 
-# --- least base radius -------------------------------------------------------------------------------------------------------
-
-
-def test_the_least_base_radius_for_a_pressure_angle():
-    """In line, tan alpha = s' / (prime radius + s) for the largest of all positions."""
-    cam, limit = wavy("roller"), math.radians(12.0)
-    s, v, _ = cam.lift(np.linspace(0.0, TURN, 200_001))
-    expected = float(np.max(np.abs(v) / math.tan(limit) - s)) - cam.contact.radius
-    assert least_base_radius(cam, (0.005, 0.5), limit) == pytest.approx(expected, rel=1e-8)
-    assert math.isnan(least_base_radius(cam, (0.005, 0.9 * expected), limit))
-    assert least_base_radius(cam, (2.0 * expected, 0.5), limit) == pytest.approx(2.0 * expected, rel=1e-12)
-
-
-@pytest.mark.parametrize("least", mostly_slow([0.0, 0.004], 0.0))
-def test_the_least_base_radius_for_a_curvature(least):
-    cam = wavy("flat face", 0.03)
-    s, _, a = cam.lift(np.linspace(0.0, TURN, 200_001))
-    assert least_base_radius(cam, (0.001, 0.5), radius=least) == pytest.approx(least - float(np.min(s + a)), rel=1e-8)
-    cam = DiscCam(with_rests, *FOLLOWERS["offset roller"], 0.08, BREAKS)
-    base = least_base_radius(cam, (0.002, 0.5), radius=least)
-    assert base > 0.002
-    for factor, kept in ((1.0 + 1e-6, True), (1.0 - 1e-4, False)):
-        touch = DiscCam(cam.lift, cam.guide, cam.contact, factor * base).at(np.linspace(0.0, TURN, 20_001))
-        assert bool(np.all(touch.advance > least * touch.turning)) == kept
-
-
-def test_a_groove_needs_room_for_both_flanks():
-    """The outer flank bulges where the pitch curve is hollow: with a large roller it decides."""
-
-    def dented(theta):
-        jet = Jet(theta, 1.0)
-        return parts(0.012 * (1.0 - np.exp(-16.0 * (1.0 - np.cos(jet)))))
-
-    inner = DiscCam(dented, Slide(), Roller(0.012), 0.03)
-    groove = DiscCam(dented, Slide(), Roller(0.012), 0.03, groove=True)
-    one, both = least_base_radius(inner, (0.01, 1.0)), least_base_radius(groove, (0.01, 1.0))
-    assert both > 1.1 * one > 0.011
-    flanks = [np.min(np.linalg.norm(flank.line, axis=1)) for flank in groove.profiles if not flank.auxiliary]
-    np.testing.assert_allclose(flanks, [0.03, 0.03 + 2.0 * 0.012], rtol=1e-5)
-    for factor in (0.99, 1.01):
-        cam = DiscCam(dented, Slide(), Roller(0.012), factor * both)
-        assert np.any(cam.at(np.linspace(0.0, TURN, 20_001), outer=True).undercut) == (factor < 1.0)
-
-
 def test_an_arm_that_is_too_short_for_the_base_circle():
     cam = DiscCam(waves, Arm((0.2, 0.0), 0.05), Roller(0.01), 0.03)
     assert np.all(np.isnan(cam.at(ANGLES).profile))
-    assert math.isnan(least_base_radius(cam, (0.01, 0.1), 0.5))
 
 
 # --- polyline ----------------------------------------------------------------------------------------------------------------

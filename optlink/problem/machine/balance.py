@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 from pydantic import Field, field_validator, model_validator
 
 from optlink.dynamics.machine import Machine
+from optlink.io import without
 from optlink.linkage.mechanism import FRAME, Pose
 from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.machine.loads import spring_ends
@@ -97,7 +98,7 @@ def with_terms(raw: Mapping[str, Any]) -> dict[str, Any]:
             with below(f"balance.limits.{name}"):
                 named[name] = limit if isinstance(limit, Mapping) else {**term_keys(name, guides), "max": limit}
         limits = named
-    rest = {name: item for name, item in section.items() if name != key}
+    rest = without(section, key)
     changed = {"objective": goal, **rest, "limits": limits}
     return {**raw, "balance": {name: item for name, item in changed.items() if item is not None}}
 

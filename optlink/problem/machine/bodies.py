@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from optlink.clearance.joint import DAMPING, Gap, compliance, stiffness
 from optlink.dynamics.machine import Inertia
+from optlink.io import without
 from optlink.linkage.laws import MotionLaw
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.vector2d import TURN, Value
@@ -257,7 +258,7 @@ class DriveMotion(Section):
         if isinstance(raw, dict) and isinstance(raw.get("speed"), dict) and "over" in raw["speed"]:  # a law
             if "law" in raw:
                 raise Unusable("the drive has a law and a speed", "Give one of the two", "speed", raw["speed"])
-            return {**{key: value for key, value in raw.items() if key != "speed"}, "law": Stated(raw["speed"], True)}
+            return {**without(raw, "speed"), "law": Stated(raw["speed"], True)}
         if isinstance(raw, dict) and raw.get("law") is not None:
             return {**raw, "law": Stated(raw["law"], "start" in raw)}
         return raw

@@ -11,7 +11,7 @@ import numpy as np
 from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.laws import SEGMENTS, Law, MotionLaw, Segment, joined, paced, spline
-from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.linkage.vector2d import TURN, Array, Value, max_magnitude
 from optlink.problem.quantity import (
     Quantity,
     Unusable,
@@ -183,7 +183,7 @@ def _read_expression(raw: Mapping[str, Any], kind: str, key: str) -> ExpressionL
     law = ExpressionLaw((0.0, *distinct(corners).tolist(), time), 0.0, given != ["duration"], size, expression=expression)
     places = np.append(t, corners)
     with np.errstate(all="ignore"):
-        steepest = [float(np.max(np.abs(law._inside(places, order)))) * time**order for order in (1, 2)]
+        steepest = [max_magnitude(law._inside(places, order)) * time**order for order in (1, 2)]
         travel, advance = float(np.ptp(law._inside(places, 0))), float(np.diff(law._inside(np.array([0.0, time]), 0))[0])
     if not max(steepest) <= STEEPEST * travel:
         message = f"the velocity or the acceleration is not finite everywhere between 0 and {time:.6g} s"

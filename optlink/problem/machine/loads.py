@@ -15,10 +15,10 @@ from pydantic import ModelWrapValidatorHandler, ValidationInfo, model_validator
 
 from optlink.clearance.joint import Gap
 from optlink.dynamics.machine import Force, Load, Machine, Moving, Process, SlideDamper, Spring, Torque, TorsionSpring
-from optlink.io import Entry, register
+from optlink.io import Entry, register, without
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.stroke import LEAST_DIFFERENCE, OTHER, Direction
-from optlink.linkage.vector2d import TURN, Array, Value, cross, dot
+from optlink.linkage.vector2d import TURN, Array, Value, all_finite, cross, dot
 from optlink.problem.base_model import Section, in_folder
 from optlink.problem.quantity import (
     Damping,
@@ -268,7 +268,7 @@ class RevolutionSamples:
             in_group = [gap for gap in gaps if bodies & {gap.journal, gap.bearing}]
             with np.errstate(all="ignore"):
                 gap = group.gap(pose)
-            spare = -np.broadcast_to(np.asarray(gap, dtype=float), assembled.shape)[assembled]
+            spare = -np.broadcast_to(gap, assembled.shape)[assembled]
             if not in_group or not spare.size or not np.any(spare > 0.0):
                 continue
             clearances, least = sum(gap.clearance for gap in in_group), float(np.min(spare))
@@ -283,7 +283,7 @@ class RevolutionSamples:
     def _rate(self, load: Load) -> Array:
         """Return the rate of the motion that reverses a load, at every position."""
         velocity = load.reversing(self.moving)
-        return np.broadcast_to(np.asarray(velocity[0] if velocity else 0.0, dtype=float), self.moving.motion.assembled.shape)
+        return np.broadcast_to(velocity[0] if velocity else 0.0, self.moving.motion.assembled.shape)
 
     def check_moves(self, load: Process) -> None:
         """Refuse a load that opposes a motion that does not exist.
@@ -385,10 +385,7 @@ class RevolutionSamples:
         around = self.machine.mechanism.limits is None
         one, other = (self.moving.state(name).axis for name in (body, against))
         angle = np.asarray(np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle)
-        closed = [
-            np.append(row, row[0]) if around and np.all(np.isfinite(row)) else row[np.isfinite(row)]
-            for row in np.atleast_2d(angle)
-        ]
+        closed = [np.append(row, row[0]) if around and all_finite(row) else row[np.isfinite(row)] for row in np.atleast_2d(angle)]
         reached = [np.unwrap(row) for row in closed]
         ends = np.array([[np.min(swing), np.max(swing)] if swing.size else [np.nan, np.nan] for swing in reached])
         low, high = ends.T.reshape(2, *np.shape(angle)[:-1])
@@ -432,7 +429,7 @@ class LoadSection(Section):
             others = ", ".join(name for name in LOADS if name != "force")
             raise Unusable("the load has no magnitude", f'Give force = "1000 N", or one of: {others}', "force")
         if kind is None:
-            return handler({key: item for key, item in raw.items() if key not in known})
+            return handler(without(raw, *known))
         keys = set(kind.form.model_fields)
         if wrong := sorted(known & set(raw) - keys):
             possible = ", ".join(sorted(keys - {kind.name}))

@@ -196,7 +196,7 @@ class Problem(Section):
 
         Fixed quantities and design variables that are not stated have their value in the file; linked ones follow from the rest.
         """
-        complete: dict[str, Value] = {name: quantity.value for name, quantity in self.quantities.items()} | dict(values)
+        complete: dict[str, Value] = sizes_of(self.quantities) | dict(values)
         for name, link in self.links.items():
             if name not in values:
                 complete[name] = link(complete)

@@ -69,7 +69,6 @@ class Designed(Protocol):
 
     def complete(self, values: Mapping[str, Value]) -> dict[str, Value]:
         """Return every quantity [SI], with those that follow from others."""
-        ...
 
 
 class Requirement(Section):

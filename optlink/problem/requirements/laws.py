@@ -11,9 +11,9 @@ from pydantic import AliasChoices, BeforeValidator, Field
 
 from optlink.linkage.fourbar import DeadCentre, InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import Pose
-from optlink.linkage.vector2d import TURN, Value, angle, angle_from, unit
+from optlink.linkage.vector2d import TURN, Value, all_finite, angle, angle_from, unit
 from optlink.problem.base_model import in_folder
-from optlink.problem.mechanism import moving_points
+from optlink.problem.mechanism import moving_points, sizes_of
 from optlink.problem.quantity import FixedAngle, Quantity, Unusable, nearest, read_quantity
 from optlink.problem.requirements.base import (
     DEFAULT_KIND,
@@ -294,8 +294,7 @@ class LawRequirement(Requirement):
             return travel
         if problem.four_bar is None:
             return None
-        dimensions = {name: quantity.value for name, quantity in problem.mechanism.quantities.items()}
-        frame = float(problem.four_bar.lengths(dimensions)[3])
+        frame = float(problem.four_bar.lengths(sizes_of(problem.mechanism.quantities))[3])
         return 2.0 ** round(math.log2(frame)) if frame else None
 
     def unit(self, problem: Designed) -> str:
@@ -470,7 +469,7 @@ class FunctionRequirement(LawRequirement):
         stated = (self.start.value, *filter(math.isfinite, self.start.bounds)) if isinstance(self.start, Quantity) else ()
         begins = stated or ((values[start],) if start not in problem.quantities else ())
         starts = [(float(begin), float(values.get(base, 0.0))) for begin in begins]
-        if not starts or not np.all(np.isfinite(starts)):
+        if not starts or not all_finite(starts):
             starts = [(begin, 0.0 if self.slides(problem) else turned) for begin, turned in TRIAL_STARTS]
         defects = [self._defect(problem, law, begin, turned) for begin, turned in starts]
         if all(defects):

@@ -81,6 +81,11 @@ def check_no_targets(requirement: Requirement) -> None:
             raise Unusable(f"a {requirement.kind} is a limit without {key}", remedy, f"requirement.{key}", stated)
 
 
+def _stated_output(self: Any, problem: Designed) -> str:
+    """Return the name of the output; default: the rocker of a four-bar."""
+    return self.output or (OF_FOUR_BAR.output if problem.mechanism.by_lengths else None) or ""
+
+
 # --- the output dwells -----------------------------------------------------------------------------------------------------
 
 
@@ -183,9 +188,7 @@ class DwellRequirement(LawRequirement):
         """Return the key of the start angle, or of the middle of the band."""
         return "start" if name == START else "value"
 
-    def output_of(self, problem: Designed) -> str:
-        """Return the name of the output."""
-        return self.output or (OF_FOUR_BAR.output if problem.mechanism.by_lengths else None) or ""
+    output_of: ClassVar = _stated_output
 
     def slides(self, problem: Designed) -> bool:
         """Return whether the output is a coordinate, not the angle of a body."""
@@ -240,9 +243,7 @@ class PositionRequirement(Requirement):
     limited_by: ClassVar[tuple[str, str]] = "value", "output"
     secondary: ClassVar[bool] = True
 
-    def output_of(self, problem: Designed) -> str:
-        """Return the name of the output."""
-        return self.output or (OF_FOUR_BAR.output if problem.mechanism.by_lengths else None) or ""
+    output_of: ClassVar = _stated_output
 
     def slides(self, problem: Designed) -> bool:
         """Return whether the output is a coordinate, not the angle of a body."""
@@ -327,9 +328,7 @@ class StrokeRequirement(Requirement):
         """Whether the requirement is a limit: always."""
         return True
 
-    def output_of(self, problem: Designed) -> str:
-        """Return the name of the output."""
-        return self.output or (OF_FOUR_BAR.output if problem.mechanism.by_lengths else None) or ""
+    output_of: ClassVar = _stated_output
 
     def bounds(self, problem: Designed) -> Iterator[Bound]:
         """Yield the limits of the stroke and of the time ratio."""

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, NoReturn, Self
 import numpy as np
 
 from optlink.errors import InvalidValue
-from optlink.linkage.vector2d import Value
+from optlink.linkage.vector2d import Value, all_finite
 from optlink.problem.quantity import nearest
 from optlink.units import is_unit
 
@@ -130,7 +130,7 @@ class Expression:
         result = np.asarray(self._run(values, watch), dtype=float)
         if hazards:
             return hazards[0]
-        if not np.all(np.isfinite(result)):
+        if not all_finite(result):
             return "has no finite real value (a root or logarithm of a negative number, or an overflow)"
         return None
 

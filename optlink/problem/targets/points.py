@@ -14,7 +14,7 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite
 from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, below, check_keys, check_pair, is_number, read_scalar
 from optlink.problem.targets.expression import Expression, LawError, parse
 from optlink.problem.targets.target_points import (
@@ -362,7 +362,7 @@ def _step(function: str, text: str) -> Array | None:
         case _:
             return None
     matrix = np.array([[a, c, e], [b, d, f], [0.0, 0.0, 1.0]])
-    return matrix if np.all(np.isfinite(matrix)) else None
+    return matrix if all_finite(matrix) else None
 
 
 def _scale(root: _Element, name: str, forgive: bool) -> tuple[float | None, bool]:
@@ -519,7 +519,7 @@ def _path(text: str) -> list[tuple[_Curve, bool]]:
 def _ellipse(centre: complex, radii: tuple[float, float], turn: complex, begin: float, sweep: float) -> _Curve:
     def at(u: Array) -> Drawn:
         angle = begin + sweep * u
-        return np.asarray(centre + turn * (radii[0] * np.cos(angle) + 1j * radii[1] * np.sin(angle)))
+        return centre + turn * (radii[0] * np.cos(angle) + 1j * radii[1] * np.sin(angle))
 
     return at
 

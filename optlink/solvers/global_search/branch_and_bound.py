@@ -44,7 +44,6 @@ class Bounder(Protocol):
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
         """Bound a batch of boxes with corners (boxes, n); those whose lower bound is not below the threshold are discarded."""
-        ...
 
 
 @dataclass

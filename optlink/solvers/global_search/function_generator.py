@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from optlink.execution import interrupts
 from optlink.linkage.fourbar import InnerFourBar
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, finite_or, max_magnitude, wrapped
 from optlink.optimization.taylor_model import UNIT
 from optlink.problem.design import DesignProblem
 from optlink.problem.targets.law import Function
@@ -447,7 +447,7 @@ def followed(points: Array, side: int, x: Array, y: Array) -> tuple[Array, Array
         )
         square = crank * crank + 1.0 - 2.0 * crank * np.cos(phi)
         gamma = np.arccos((coupler * coupler + rocker * rocker - square) / (2.0 * coupler * rocker))
-    return np.remainder(output - psi0 - y + math.pi, 2.0 * math.pi) - math.pi, gamma, coupler[:, 0]
+    return wrapped(output - psi0 - y), gamma, coupler[:, 0]
 
 
 def _solved(rows: Rows, low: Array, high: Array) -> tuple[Array, Array, NDArray[np.intp]]:
@@ -694,7 +694,7 @@ class FunctionSearch:
         phi0, psi0 = design[problem.start_name] - turned, design[problem.base_name] - turned
         point = np.array([[phi0, psi0, 1.0 / a, 1.0 / c, k3]])
         errors = [np.abs(followed(point, side, x, self._rise(x))[0][0]) for side in (1, -1)]
-        return x, min(errors, key=lambda error: float(np.max(np.where(np.isfinite(error), error, np.inf))))
+        return x, min(errors, key=lambda error: float(np.max(finite_or(error, np.inf))))
 
     def _better(self, search: BranchAndBound) -> float:
         """Return the best objective known after the candidate of a batch."""
@@ -702,7 +702,7 @@ class FunctionSearch:
         assert isinstance(bounder, FunctionBounds)
         phi0, psi0, k1, k2, k3 = (float(value) for value in bounder.candidate)
         place = np.array([phi0, psi0, math.log(k1), math.log(k2)])
-        if self.improve is not None and any(np.max(np.abs(place - other)) < CANDIDATE_SEPARATION for other in self.tried):
+        if self.improve is not None and any(max_magnitude(place - other) < CANDIDATE_SEPARATION for other in self.tried):
             return self.best
         self.tried.append(place)
         problem, loop, turned = self.problem, self.loop, self.problem.frame_angle or 0.0

@@ -29,7 +29,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, finite_or
 from optlink.optimization.taylor_model import ROUNDING, TINY, UNIT, UPWARD, BoxModels, DesignBoxes, TaylorModel, pairs
 
 # Polynomials of second order and linear inequalities over the box -1 <= d <= 1: rigorous bounds, elementwise over many boxes.
@@ -70,7 +70,7 @@ def quadratic_bound(constant: Array, linear: Array, quadratic: Array, remainder:
         bound = (
             np.maximum(simple, np.where(clean & np.isfinite(tangent), tangent, -np.inf)) - rounding - remainder * UPWARD - TINY
         )
-    return np.where(np.isfinite(bound), bound, -np.inf)
+    return finite_or(bound, -np.inf)
 
 
 def box_minimum(linear: Array, convex: Array) -> Array:
@@ -86,13 +86,13 @@ def box_minimum(linear: Array, convex: Array) -> Array:
         point = -np.linalg.solve(matrix + firm[:, None, None] * np.eye(n), np.where(clean[:, None], linear, 0.0)[..., None])[
             ..., 0
         ]
-        point = np.clip(np.where(np.isfinite(point), point, 0.0), -1.0, 1.0)
+        point = np.clip(finite_or(point, 0.0), -1.0, 1.0)
         slope = linear + np.einsum("bij,bj->bi", convex, point)
         for step in range(DESCENT * n):
             i = step % n
             curvature = convex[:, i, i]
             target = np.where(curvature > 0.0, point[:, i] - slope[:, i] / curvature, -np.sign(slope[:, i]))
-            move = np.clip(np.where(np.isfinite(target), target, 0.0), -1.0, 1.0) - point[:, i]
+            move = np.clip(finite_or(target, 0.0), -1.0, 1.0) - point[:, i]
             point[:, i] += move
             slope += convex[:, :, i] * move[:, None]
     return point
@@ -393,7 +393,7 @@ def raised_multipliers(first: Parts, slack: Parts) -> Array:
         gradient = linear - np.einsum("bm,bmn->bn", multipliers, slope)
         with np.errstate(all="ignore"):
             step = gradient[:, None, :] / slope
-        step = np.maximum(np.where(np.isfinite(step), step, 0.0), -multipliers[:, :, None])
+        step = np.maximum(finite_or(step, 0.0), -multipliers[:, :, None])
         turned = gradient[:, None, None, :] - step[..., None] * slope[:, :, None, :]
         bound = now[:, None, None] - step * (value + rest)[:, :, None] - np.abs(turned).sum(axis=-1)
         flat = bound.reshape(boxes, -1)

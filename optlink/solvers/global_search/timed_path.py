@@ -30,10 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import InnerFourBar
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, finite_or
 from optlink.optimization.taylor_model import TINY, UNIT, UPWARD, TaylorModel, pairs
 from optlink.optimization.terms import transmission_sides
 from optlink.problem.design import DesignProblem
+from optlink.problem.mechanism import sizes_of
 from optlink.problem.requirements.base import START
 from optlink.solvers.global_search.lagrangian import OPEN, TESTS, BoxRecord, quadratic_bound
 
@@ -151,7 +152,7 @@ class ColumnFit:
             value = level + polynomial[0] / (size[:, 0] ** 2)
         bound = np.where(slack >= 0.0, threshold, np.minimum(threshold, self.proven(lower, self.error[chosen])))
         each = np.where(keep[:, : self.count] > 0.0, cost[:, : self.count] + cost[:, self.count :], -1.0)
-        value = np.where(np.isfinite(value), value, np.inf)
+        value = finite_or(value, np.inf)
         return np.where(possible, bound, 0.0), size, value, np.argmax(each, axis=1)
 
 
@@ -446,7 +447,7 @@ class TimedPathBounds:
         linear = np.linalg.lstsq(columns.T, as_real((self.points * self.roots)[None])[0], rcond=None)[0]
         crank = complex(linear[-4], linear[-3]) if self.turned else complex(linear[-3], 0.0)
         problem, known, size = self.problem, self.unknowns, (abs(crank) if self.turned else crank.real) / a * self.unit
-        values = {name: quantity.value for name, quantity in problem.quantities.items()}
+        values = sizes_of(problem.quantities)
         pivot = [values[name] for name in known.pivots] or [0.0, 0.0]
         places = [k for k, name in enumerate(known.pivots) if name in problem.free]
         for k, x in zip(places, linear, strict=False):

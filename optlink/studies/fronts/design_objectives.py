@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from optlink.errors import InputError
+from optlink.errors import InputError, given_as
+from optlink.io import without
 from optlink.optimization.courses import extent_of, has_position_limits
 from optlink.optimization.terms import position_rows, rows as limit_rows
 from optlink.problem.design import DesignProblem
@@ -208,11 +209,8 @@ def _termed(problem: ProblemFile, keys: dict[str, Any], number: int, name: str) 
     sense = -1 if way == "maximise" else 1
     side = "min" if sense < 0 else "max"
     asked = ParetoObjective(name, name, "", sense, f"limits.front_{number}.{side}", tuple(keys.items()))
-    try:
+    with given_as(problem.file, OPTION, name):
         read = design_problem(problem, [asked], 0, {})
-    except InputError as error:
-        fault = error.faults[0]
-        raise InputError(fault.message, fault.remedy, problem.file, OPTION, name) from None
     goal = read.spec.goals[0]
     kind = read.spec.kind(goal)
     return ParetoObjective(name, goal.words, KINDS[kind].display if kind else "", sense, asked.key, asked.term)
@@ -369,12 +367,12 @@ def without_varied_limits(problem: ProblemFile, objectives: Sequence[ParetoObjec
         above, _, side = objective.key.rpartition(".")
         entry = problem.at(above)
         if objective.term and entry is not None:
-            rest = {key: value for key, value in entry.items() if key not in (side, "exactly")}
+            rest = without(entry, side, "exactly")
             problem = problem.override({above: rest if any(key in SIDES for key in rest) else None})
         if objective.term or objective.part >= 0:
             continue
         if above.startswith("mechanism."):
-            problem = problem.override({above: {key: value for key, value in entry.items() if key != "start"}})
+            problem = problem.override({above: without(entry, "start")})
         elif above == "limits.pressure_angle":
             problem = problem.override({above: None})
         elif entry is not None:
@@ -406,7 +404,7 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
         if limited.exactly is not None or (limited.min is not None and limited.max is not None):
             remedy = f'State the direction: "minimise {limited.words}" or "maximise {limited.words}"'
             raise InputError("the limit bounds the term on both sides", remedy, problem.file, OPTION, name)
-        raw = {key: value for key, value in problem.raw["limits"][name.removeprefix("limits.")].items() if key not in SIDES}
+        raw = without(problem.raw["limits"][name.removeprefix("limits.")], *SIDES)
         way = "maximise" if limited.max is None and limited.exactly is None else "minimise"
         return _termed(problem, {**raw, "sense": way}, number, name)
     if name in task.quantities:
@@ -429,20 +427,17 @@ def epsilon_problem(
     """
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
     task = problem.spec
-    removed = {
-        name for name, limit in task.limits.named.items() if any(_is_replaced(limit, objective) for objective in objectives)
-    }
-    limits = {name: value for name, value in raw.get("limits", {}).items() if name not in removed}
-    for name in removed:
-        rest = _remaining_side(problem, name, objectives)
-        if rest is not None:
-            limits[name] = rest
+    limits = raw.get("limits", {})
+    for name, limit in task.limits.named.items():
+        if replaced := {objective.side for objective in objectives if _is_replaced(limit, objective)}:
+            rest = without(limits.pop(name), *(replaced | {"exactly"}))
+            limits |= {name: rest} if rest.keys() & SIDES else {}
     for k, value in bounds.items():
         limits[objectives[k].key.split(".")[1]] = {**dict(objectives[k].term), objectives[k].side: value}
     raw["limits"] = limits
     terms = [term for k, reference in goals.items() for term in _objective_terms(problem, objectives[k], reference)]
     single = [k for k in goals if len(goals) == 1 and objectives[k].key]
-    raw["objective"] = {key: v for key, v in terms[0].items() if key != "scale"} if single else {"terms": terms}
+    raw["objective"] = without(terms[0], "scale") if single else {"terms": terms}
     return problem.with_tables(raw)
 
 
@@ -462,21 +457,8 @@ def _same_quantity(first: Term, second: Term) -> bool:
 
 def _is_replaced(limit: Limit, objective: ParetoObjective) -> bool:
     """Return whether a limit constrains the term of an objective on the side that is varied."""
-    if not objective.key:
-        return False
-    return _same_quantity(limit, objective.cycle_term) and (
-        limit.exactly is not None or getattr(limit, objective.side) is not None
-    )
-
-
-def _remaining_side(problem: ProblemFile, name: str, objectives: Sequence[ParetoObjective]) -> dict[str, Any] | None:
-    """Return the other side of a limit that is removed, or None."""
-    limit, raw = problem.spec.limits.named[name], dict(problem.raw["limits"][name])
-    raw.pop("exactly", None)
-    for objective in objectives:
-        if _is_replaced(limit, objective):
-            raw.pop(objective.side, None)
-    return raw if any(side in raw for side in SIDES) else None
+    stated = limit.exactly is not None or getattr(limit, objective.side) is not None
+    return bool(objective.key) and stated and _same_quantity(limit, objective.cycle_term)
 
 
 def cycle_figures(problem: ProblemFile, objectives: Sequence[ParetoObjective], values: Mapping[str, float]) -> tuple[float, ...]:

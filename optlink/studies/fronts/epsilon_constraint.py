@@ -24,7 +24,7 @@ from optlink.errors import InputError, Status
 from optlink.execution.options import Execution
 from optlink.execution.runner import check, known_here
 from optlink.execution.store import Progress, Store
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite
 from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.arguments import typed
 from optlink.problem.document import Renamed, Source, entries
@@ -386,7 +386,7 @@ def _point(task: ReoptimiseTask, ranges: EpsilonRanges, row: Mapping[str, str]) 
     factor, unit = task.template.model.objective_display
     design = _design(task, list(row.values()))
     measured = ranges.figures(task.template, design, float(row[task.objective_column]) / (factor * in_si(unit)[0]))
-    return ParetoPoint(_si(ranges.objectives, measured), design, row["active"], "") if np.all(np.isfinite(measured)) else None
+    return ParetoPoint(_si(ranges.objectives, measured), design, row["active"], "") if all_finite(measured) else None
 
 
 def _marked(

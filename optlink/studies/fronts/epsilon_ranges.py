@@ -8,10 +8,10 @@ its limits by name, and the `objective` of the file. A design for targets has `e
 `limits.transmission_angle.max`, `mechanism.coupler.max`, and terms of its machine ("total length", "peak torque").
 """
 
-import contextlib
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.errors import InputError, Status
-from optlink.linkage.vector2d import Array
+from optlink.errors import InputError, Status, given_as
+from optlink.linkage.vector2d import Array, all_finite
 from optlink.optimization.programme import angle_name, build
 from optlink.problem.file import ProblemFile
 from optlink.problem.rounding import NO_GRID
@@ -148,15 +148,10 @@ class EpsilonRanges(ABC):
     def _with(self, number: int, value: Raw) -> ProblemFile:
         """Return the problem with a value of the limit that constrains an objective."""
 
-    @contextlib.contextmanager
-    def _blamed(self, objective: ParetoObjective) -> Iterator[None]:
+    def _blamed(self, objective: ParetoObjective) -> AbstractContextManager[None]:
         """Attribute errors to the objective."""
         text = f"{objective.text}={objective.span}" if objective.span else objective.text
-        try:
-            yield
-        except InputError as error:
-            fault = error.faults[0]
-            raise InputError(fault.message, fault.remedy, self.problem.file, OPTION, text) from None
+        return given_as(self.problem.file, OPTION, text)
 
     def _no_end(self, objective: ParetoObjective, why: str) -> NoExtreme:
         remedy = f'Give a range: "{objective.text}=LOW..HIGH{" " + objective.unit if objective.unit else ""}"'
@@ -346,7 +341,7 @@ class _CycleRanges(EpsilonRanges):
 
     def reference(self, base: ProblemFile, once: Once) -> tuple[str, tuple[float, ...] | None]:
         figures = cycle_figures(self.problem, self.objectives, {})
-        return "initial machine", figures if np.all(np.isfinite(figures)) else None
+        return "initial machine", figures if all_finite(figures) else None
 
     def _with(self, number: int, value: Raw) -> ProblemFile:
         return epsilon_problem(self.problem, self.objectives, {self.first: 1.0}, {number: value})
@@ -366,7 +361,7 @@ class _CycleRanges(EpsilonRanges):
             if start and result.status is not Status.OPTIMAL:
                 result = completed(targets.solve(task, self.backend))
             measured = cycle_figures(problem, objectives, result.design)
-            if result.status not in (Status.OPTIMAL, Status.STALLED) or not np.all(np.isfinite(measured)):
+            if result.status not in (Status.OPTIMAL, Status.STALLED) or not all_finite(measured):
                 raise self._no_end(objectives[k], result.status.text)
             return {"sizes": dict(result.design), "figures": list(measured)}  # validated or not: it only defines the range
 

@@ -1,7 +1,5 @@
 """Common interface of search results: validity, optimality checks, JSON document."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Protocol, Self, TypeVar
@@ -111,27 +109,22 @@ class Design(Protocol):
     @property
     def status(self) -> Status:
         """How its search ended."""
-        ...
 
     @property
     def valid(self) -> bool:
         """Whether it is validated and, if it was searched, optimal."""
-        ...
 
     @property
     def objective(self) -> float:
         """Its objective [SI]."""
-        ...
 
     @property
     def limits(self) -> tuple[LimitState, ...]:
         """All its bounds and limits [SI]; none without a search."""
-        ...
 
     @property
     def validation(self) -> Validation:
         """Its independent checks."""
-        ...
 
 
 class DesignResult(Result, Protocol):
@@ -144,106 +137,85 @@ class DesignResult(Result, Protocol):
     @property
     def status(self) -> Status:
         """How the search ended."""
-        ...
 
     @property
     def message(self) -> str:
         """How it ended, in words."""
-        ...
 
     @property
     def valid(self) -> bool:
         """Whether there is a design, validated and, if it was searched, optimal."""
-        ...
 
     @property
     def best(self) -> Design | None:
         """The best design, else the nearest one that is not valid; None if there is none. A result of one design is its best."""
-        ...
 
     @property
     def design(self) -> Mapping[str, float]:
         """Quantities of the best design [SI] by the names that arguments `design` have too, empty without one; see `machine`."""
-        ...
 
     @property
     def objective(self) -> float:
         """Its objective [SI]."""
-        ...
 
     @property
     def limits(self) -> tuple[LimitState, ...]:
         """All its bounds and limits [SI]; none without a search."""
-        ...
 
     @property
     def validation(self) -> Validation:
         """Its independent checks."""
-        ...
 
     @property
     def solution(self) -> Solution | None:
         """The optimum of the solver; None without a search."""
-        ...
 
     @property
     def backends(self) -> Mapping[str, Solution]:
         """The optimum of each of several solvers by its name."""
-        ...
 
     @property
     def definite(self) -> ProblemFile:
         """The problem with the assembly modes of the design."""
-        ...
 
     @property
     def machine(self) -> ProblemFile | None:
         """The problem with all dimensions fixed, for `analyze`, `simulate` and pictures; None without a design."""
-        ...
 
     @property
     def conflict(self) -> tuple[Relaxation, ...]:
         """Limits that exclude each other, each relaxed as far as it must be; none if there is a design."""
-        ...
 
     @property
     def certificate(self) -> Certificate | None:
         """Proof that it is the global optimum, or None."""
-        ...
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user."""
-        ...
 
     @property
     def backend(self) -> str:
         """Solver of the search, "both", or "none"."""
-        ...
 
     @property
     def starts(self) -> int:
         """Number of starting points."""
-        ...
 
     @property
     def seed(self) -> int | None:
         """Seed of the random ones."""
-        ...
 
     @property
     def seconds(self) -> Mapping[str, float]:
         """Wall time by stage [s]."""
-        ...
 
     @property
     def interrupted(self) -> bool:
         """Whether Ctrl-C ended the search."""
-        ...
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
         """Return the result with further checks."""
-        ...
 
 
 def of_solution(name: str) -> Callable[[Any], Any]:

@@ -4,8 +4,6 @@ Values that are called possible are rounded away from the limit value, so that a
 is reached is rounded to the nearest.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optlink.errors import InputError, Status
-from optlink.io import Summary, finite
+from optlink.io import Summary, finite, keeping, without
 from optlink.linkage.dyads import transmitting
 from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
@@ -21,7 +21,7 @@ from optlink.linkage.mechanism import Pose
 from optlink.linkage.motion import sweep
 from optlink.linkage.roberts import Cognate, CouplerLinkage, cognates
 from optlink.linkage.stroke import SEAM, reachable
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, all_finite, max_magnitude, wrapped
 from optlink.optimization.output_errors import error_function
 from optlink.problem.design import DesignProblem
 from optlink.problem.document import Column, Document, Number, Source, adapter, entries
@@ -303,7 +303,7 @@ class LinkageDesign(Summary):
         motion, output = sweep(task.linkage, self.values, begin + at), task.output
         actual = motion.coordinate(output).value if task.slides else motion.body_angle(output).value
         error = np.asarray(actual, dtype=float) - law.curve(at, begin, base)
-        return error if task.slides else np.remainder(error + np.pi, TURN) - np.pi
+        return error if task.slides else wrapped(error)
 
     @cached_property
     def largest_between(self) -> float | None:
@@ -319,7 +319,7 @@ class LinkageDesign(Summary):
         if isinstance(rule.law, Table) and getattr(rule, "spacing", "even") == "even":  # a key of some kinds
             return None
         whole = self.task.span * np.linspace(0.0, 1.0, FINE)
-        at_positions, over_range = (float(np.max(np.abs(self.errors(at)))) for at in (None, whole))
+        at_positions, over_range = (max_magnitude(self.errors(at)) for at in (None, whole))
         return over_range if math.isfinite(over_range) and over_range > at_positions * WIDER else None
 
     @property
@@ -445,7 +445,7 @@ class LinkageDesign(Summary):
             return np.cos(gamma).T
 
         grid = np.linspace(begin, end, 721)
-        if not groups or not np.all(np.isfinite(cosines(grid))):
+        if not groups or not all_finite(cosines(grid)):
             return math.nan, math.nan
         ends = np.arccos(np.clip(extremes(cosines, grid, periodic=self.crank_turns)[1], -1.0, 1.0))
         return float(np.min(ends)), float(np.max(ends))
@@ -544,7 +544,7 @@ class LinkageDesign(Summary):
         if self.largest_between is not None:
             objective[f"largest_between_{unit}"] = size * self.largest_between
         if measured.turned is not None:
-            objective["largest_turned_deg"] = math.degrees(float(np.max(np.abs(measured.turned))))
+            objective["largest_turned_deg"] = math.degrees(max_magnitude(measured.turned))
         further = {
             "alternations": self.alternations if self.follows_law and task.measure == "max" else None,
             "robust": getattr(self.task.robust, "text", None),
@@ -593,7 +593,7 @@ class SynthesisResult(Document):
 
     kind = "design"
     shown: ClassVar[Mapping[str, Source]] = {
-        **{key: source for key, source in SEARCHED.items() if key != "notes"},
+        **without(SEARCHED, "notes"),
         "starts_that_reached_the_best": "hits",
         **{f"{key}?": of_best(key) for key in ("assembly", "strokes", "fit")},
         "initial?": lambda result: (
@@ -729,7 +729,7 @@ class SynthesisResult(Document):
     @property
     def sizes(self) -> dict[str, float]:
         """Dimensions of the best linkage [SI]; empty if there is none."""
-        return {name: value for name, value in self.design.items() if name in self.problem.model.mechanism.quantities}
+        return keeping(self.design, *self.problem.model.mechanism.quantities)
 
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
         """Return the quantities [SI] of a solution in display units, which end the keys."""

@@ -1,7 +1,5 @@
 """Least and largest values of the columns of an analysis over the motion, each refined when it is read."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import ItemsView, Iterable, Iterator, Mapping, Sequence, ValuesView
@@ -18,7 +16,7 @@ from optlink.dynamics.work import Work
 from optlink.errors import UnknownName, nearest
 from optlink.linkage.extrema import Index, SampledFunctions, distinct, zeros
 from optlink.linkage.stroke import Ranges, within_cycle
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, all_finite, finite_or
 
 CHANGE_POINT_WIDTH = 1e-5  # rad from a passed change point: reactions are inaccurate there
 WORK = "input.work_J"
@@ -133,7 +131,7 @@ class Extremes(Mapping[str, Extreme]):
     def amounts(self) -> dict[str, float]:
         """Largest magnitude of every column with extremes, from samples of the motion."""
         values = np.abs(self._sampled.values)
-        largest = np.max(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0)
+        largest = np.max(finite_or(values, 0.0), axis=1, initial=0.0)
         return {name: float(largest[self._numbers[name]]) for name in self._names if name != WORK}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -192,7 +190,7 @@ class Extremes(Mapping[str, Extreme]):
             if work.poles:
                 defined &= np.isfinite(self._evaluate(low, machine=without_values(self._machine, work.poles)))[:, 0]
             return dict.fromkeys(name for name in names if defined[self._numbers[name]])
-        return dict.fromkeys([*names, *([WORK] if np.all(np.isfinite(work(low))) else [])])
+        return dict.fromkeys([*names, *([WORK] if all_finite(work(low)) else [])])
 
     # --- extremes --------------------------------------------------------------------------------------------------------------
 

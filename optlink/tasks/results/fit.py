@@ -25,7 +25,7 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.linkage.fourbar import classify
 from optlink.linkage.motion import sweep
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, all_finite, finite_or, max_magnitude, wrapped
 from optlink.problem.design import STEP, DesignProblem
 from optlink.problem.document import Source
 from optlink.problem.quantity import Quantity
@@ -74,7 +74,7 @@ def start_reasons(task: DesignProblem, values: Mapping[str, float], error: float
     reason = f"the law starts at the {start}, the default of requirement.{key}" if default else f"the law starts at {start}"
     angles = np.linspace(0.0, TURN, STARTS, endpoint=False)
     errors = _errors(task, values, angles)
-    best = int(np.argmin(np.where(np.isfinite(errors), errors, np.inf)))
+    best = int(np.argmin(finite_or(errors, np.inf)))
     gain = math.isfinite(errors[best]) and errors[best] < BETTER * error
     if gain:
         reason += f"; from {in_degrees(angles[best])} the same linkage has an rms error of {_shown(errors[best], task.unit)}"
@@ -101,7 +101,7 @@ def _errors(task: DesignProblem, values: Mapping[str, float], starts: Array) -> 
     if task.slides:
         return np.asarray(np.std(error, axis=1) if free else np.sqrt(np.mean(error**2, axis=1)))
     middle = np.angle(np.mean(np.exp(1j * error), axis=1, keepdims=True)) if free else 0.0
-    error = np.remainder(error - middle + math.pi, TURN) - math.pi
+    error = wrapped(error - middle)
     return np.asarray(np.sqrt(np.mean(error**2, axis=1)))
 
 
@@ -148,7 +148,7 @@ def curve_distances(task: DesignProblem, values: Mapping[str, float], crank_angl
     begin, end = task.linkage.limits or (begin, end)
     curve = sweep(task.linkage, values, np.linspace(begin, end, FINE)).position(task.point)
     gaps = [np.hypot(*(curve - place).T) for place in task.data.columns[:, :2]]
-    return np.array([np.min(gap) if np.all(np.isfinite(gap)) else math.inf for gap in gaps])
+    return np.array([np.min(gap) if all_finite(gap) else math.inf for gap in gaps])
 
 
 def _mode_reasons(
@@ -448,13 +448,13 @@ def fit(
     """
     task = problem.spec
     targets, distances = task.data.columns, measured.distances
-    if task.requirement.kind == "transmission" or not np.all(np.isfinite(distances)):
+    if task.requirement.kind == "transmission" or not all_finite(distances):
         return None
     links = [values[name] for name, quantity in task.mechanism.quantities.items() if quantity.kind == "length"]
     if task.pointed:
         places = targets[:, 0] + 1j * targets[:, 1]
         of = "the size of the path" if measured.turned is None else "the distance of the poses"
-        diameter = max(float(np.max(np.abs(places - place))) for place in places)
+        diameter = max(max_magnitude(places - place) for place in places)
         fits = [_sized(distances, diameter, "m", of, links)]
         if measured.turned is not None:
             fits.append(_sized(measured.turned, _rotation(task), "rad", "the rotation of the poses"))
@@ -535,7 +535,7 @@ def _rotating(task: DesignProblem, values: Mapping[str, float]) -> Iterator[Poor
     if task.requirement.kind != "motion" or task.limits.crank == "span":
         return
     angle = np.asarray(sweep(task.linkage, values, np.linspace(0.0, TURN, FINE)).body_angle(task.body).value, dtype=float)
-    if not np.all(np.isfinite(angle)):
+    if not all_finite(angle):
         return
     turned, needed = float(np.ptp(np.unwrap(angle))), _rotation(task)
     if needed > turned:

@@ -1,7 +1,5 @@
 """What a design with sizes on a grid has lost, and which size matters: a part of the result of a search."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
