@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -94,31 +94,16 @@ def film(page: Page, out: Path) -> None:
     frames[0].save(out / "studio.gif", save_all=True, append_images=frames[1:], duration=times, loop=0, optimize=False)
 
 
-def still(page: Page, path: Path) -> None:
-    """Save a picture of the window with few colours."""
-    shot(page).quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(path, optimize=True)
-
-
-def start(page: Page, out: Path) -> None:
+def start(page: Page) -> None:
     """The first screen."""
-    page.size(1200, 860)
-    page.open()
     time.sleep(0.5)
     page.run("document.activeElement.blur()")
-    still(page, out / "studio-start.png")
 
 
-def poses(page: Page, out: Path) -> None:
+def poses(page: Page) -> Image.Image:
     """A pose while it is dragged: the design is not verified."""
-    page.size(1200, 760)
-    page.open("motion-3-poses")
     time.sleep(2.0)  # until the programme of the next drag is ready
-    page.press("requirement.points.1")
-    page.move([(2, 2)] * 8, 40)
-    page.until("return window.studioTimings.length >= 8")
-    time.sleep(0.3)
-    still(page, out / "studio-poses.png")
-    page.release()
+    return list(dragged(page, "requirement.points.1", [(2, 2)] * 8))[7]
 
 
 def egg(k: int) -> tuple[float, float]:
@@ -127,22 +112,17 @@ def egg(k: int) -> tuple[float, float]:
     return 130.0 * math.cos(turn) + 30.0 * math.cos(2.0 * turn), 80.0 * math.sin(turn) + 25.0 * math.sin(2.0 * turn) - 60.0
 
 
-def curve(page: Page, out: Path) -> None:
+def curve(page: Page) -> None:
     """A curve drawn by hand, and the four-bars for it."""
-    page.size(1200, 760)
-    page.open()
     page.find("#start-draw").click()
     page.stroke(egg, 48)
     page.until("return document.querySelector('.candidate') && !document.querySelector('#tray').hasAttribute('data-searching')")
     page.run("document.querySelector('.candidate').dispatchEvent(new Event('pointerenter'))")
     time.sleep(1.0)
-    still(page, out / "studio-curve.png")
 
 
-def elements(page: Page, out: Path) -> None:
+def elements(page: Page) -> None:
     """The forms of gears and drive, with a value that is refused."""
-    page.size(1200, 760)
-    page.open()
     page.find('[data-template="geared-five-bar"]').click()
     page.verified()
     page.run("for (const key of ['drive', 'mechanism.gears.train']) document.querySelector(`[data-entry='${key}']`).open = true")
@@ -153,65 +133,77 @@ def elements(page: Page, out: Path) -> None:
     )
     page.until("return document.querySelector('#elements .fault')")
     page.run("document.querySelector('#elements').scrollIntoView(); document.querySelector('#hint').hidden = true")
-    still(page, out / "studio-elements.png")
 
 
-def parts(page: Page, out: Path) -> None:
+def parts(page: Page) -> None:
     """A shaper as parts, with their layers and sizes."""
-    page.size(1200, 760)
-    page.open("shaper")
     page.find("#view-parts").click()
     page.until("return document.querySelectorAll('#parts tr').length")
     page.run("const c = document.querySelector('#crank'); c.value = 18; c.dispatchEvent(new Event('input'))")
     page.run("document.querySelector('#parts').scrollIntoView(); document.querySelector('#hint').hidden = true")
     page.run("document.querySelector('#handles').style.display = 'none'")
-    still(page, out / "studio-parts.png")
 
 
-def solutions(page: Page, out: Path) -> None:
+def solutions(page: Page) -> None:
     """All four-bars of five poses."""
-    page.size(1200, 760)
-    page.open("motion-5-poses")
     page.find("#tool-solutions").click()
     page.until("return document.querySelectorAll('#found .candidate').length")
     page.run("document.querySelectorAll('#found .candidate')[1].focus()")
     time.sleep(1.0)
-    still(page, out / "studio-solutions.png")
 
 
-def phone(page: Page, out: Path) -> None:
+def phone(page: Page) -> None:
     """A narrow window in dark colours."""
-    page.size(400, 860)
-    with colours(page.driver, dark=True):
-        page.open("crank-rocker")
-        page.run("document.querySelector('#hint').hidden = true")
-        time.sleep(0.3)
-        still(page, out / "studio-phone.png")
+    page.run("document.querySelector('#hint').hidden = true")
+    time.sleep(0.3)
 
 
-PICTURES: dict[str, Callable[[Page, Path], None]] = {
-    "film": film,
-    "start": start,
-    "poses": poses,
-    "curve": curve,
-    "elements": elements,
-    "parts": parts,
-    "solutions": solutions,
-    "phone": phone,
+class Still(NamedTuple):
+    """A picture of the window: `then` does what it shows, or returns it; `problem` is opened first, if there is one."""
+
+    then: Callable[[Page], Image.Image | None]
+    problem: str | None = None
+    height: int = 760
+    width: int = 1200
+    dark: bool = False
+
+    def take(self, page: Page, path: Path) -> None:
+        """Save the picture with few colours."""
+        page.size(self.width, self.height)
+        with colours(page.driver, dark=self.dark):
+            page.open(self.problem)
+            picture = self.then(page) or shot(page)
+            picture.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+STILLS = {
+    "start": Still(start, height=860),
+    "poses": Still(poses, "motion-3-poses"),
+    "curve": Still(curve),
+    "elements": Still(elements),
+    "parts": Still(parts, "shaper"),
+    "solutions": Still(solutions, "motion-5-poses"),
+    "phone": Still(phone, "crank-rocker", 860, 400, dark=True),
 }
+FILMED = "film"
 
 
 def main() -> None:
     """Take the pictures."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parents[1] / "docs" / "images")
-    parser.add_argument("pictures", nargs="*", metavar="picture", help=f"of {', '.join(PICTURES)}; default: all")
+    parser.add_argument("pictures", nargs="*", metavar="picture", help=f"of {FILMED}, {', '.join(STILLS)}; default: all")
     options: Any = parser.parse_args()
-    if unknown := set(options.pictures) - set(PICTURES):
-        parser.error(f"unknown picture {', '.join(unknown)}: take of {', '.join(PICTURES)}")
+    every = [FILMED, *STILLS]
+    if unknown := set(options.pictures) - set(every):
+        parser.error(f"unknown picture {', '.join(unknown)}: take of {', '.join(every)}")
     with browser() as driver, studio() as address:
-        for name in options.pictures or PICTURES:
-            PICTURES[name](Page(driver, address), options.out)
+        for name in options.pictures or every:
+            page = Page(driver, address)
+            if name == FILMED:
+                film(page, options.out)
+            else:
+                STILLS[name].take(page, options.out / f"studio-{name}.png")
 
 
 if __name__ == "__main__":

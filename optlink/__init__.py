@@ -20,6 +20,7 @@ __all__, __getattr__, __dir__ = namespace(
     optlink.problem.document: Document Result
     optlink.problem.file: AnyProblem ProblemFile load read shipped
     optlink.problem.own_terms: limit objective
+    optlink.problem.renaming: rename
     optlink.problem.templates: new
     optlink.studies.sweeps: sweep
     optlink.studio: explore

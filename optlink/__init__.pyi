@@ -30,6 +30,7 @@ from optlink.problem.file import (
     shipped as shipped,
 )
 from optlink.problem.own_terms import limit as limit, objective as objective
+from optlink.problem.renaming import rename as rename
 from optlink.problem.templates import new as new
 from optlink.studies.sweeps import sweep as sweep
 from optlink.studio import explore as explore

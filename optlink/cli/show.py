@@ -86,9 +86,9 @@ def show(
 def _template(problem: ProblemFile, name: str = "") -> str:
     """Return a problem with default limits as TOML text, with the comments and the spellings of its file."""
     from optlink.presentation.files import is_result
-    from optlink.presentation.toml_text import rewritten, tables
     from optlink.problem.document import stored_problem
     from optlink.problem.file import complete
+    from optlink.problem.toml_text import rewritten, tables
 
     if is_result(name):
         text = stored_problem(problem)["toml"]

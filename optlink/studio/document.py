@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from optlink.errors import InputError
-from optlink.presentation import toml_text
+from optlink.problem import toml_text
 from optlink.problem.enclosed import references
 from optlink.problem.file import MAX_BYTES, ProblemFile, load, read, shipped
 from optlink.problem.quantity import check_choice, file_key, quantity_key
+from optlink.problem.renaming import renamed
 from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.templates import template, templates
 from optlink.studies.grid import exact_text
@@ -78,6 +79,12 @@ class Document:
             return self
         problem = self.problem.override(changes)
         return replace(self, text=toml_text.rewritten(self.text, self.problem.raw, problem.raw))
+
+    def renamed(self, old: str, new: str) -> Document:
+        """Return the document with another name for a part of the linkage (see `optlink.problem.renaming`)."""
+        document = replace(self, text=renamed(self.text, self.problem, old, new))
+        names = zip(self.problem.model.quantities, document.problem.model.quantities, strict=True)
+        return replace(document, freed={now: self.freed[before] for before, now in names if before in self.freed})
 
     def locked(self, size: str, value: float | None) -> Document:
         """Return the document with a design variable fixed at a value [SI]; None for the starting value of the file."""

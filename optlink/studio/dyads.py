@@ -1,5 +1,6 @@
-"""Dyads of four poses on the canvas: their curves, the partners of a driver, and the four-bar of two of them."""
+"""Families of linkages on the canvas: the curves of their joints, the partners of a driver, and the linkage that is picked."""
 
+import cmath
 from collections.abc import Mapping
 from typing import Any
 
@@ -7,88 +8,141 @@ import numpy as np
 
 from optlink.errors import InputError
 from optlink.linkage.vector2d import Array
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import quantity_key
 from optlink.studies.grid import exact_text
 from optlink.studio.design import Design, design_of
 from optlink.studio.document import Document
-from optlink.synthesis.families import PoseFamily
-from optlink.synthesis.four_poses import DyadCurves
-from optlink.tasks.four_poses import ROUNDED, dyad_curves, four_bar_of_dyads, guided, joints_at, usable
+from optlink.synthesis.families import Family
+from optlink.synthesis.five_poses import Complex
+from optlink.tasks.five_targets import frame_direction, in_words
+from optlink.tasks.four_poses import ROUNDED, applies, family_of, joints_at, joints_given, of_family, usable
 
 SAME = 1e-6  # distance of the joints of a design from a dyad that is its own, as a multiple of the size of the poses
-MAX_REACH = 30.0  # largest distance of what is drawn from the first pose, as a multiple of the size of the poses
+MAX_REACH = 30.0  # largest distance of what is drawn from the first target, as a multiple of the size of the targets
+HINTS = {
+    "dyads": (
+        "Pick the driver on a blue part: its pivot (solid) or its point on the body at pose 1 (dashed).",
+        "Pick its partner on a green part: each is a four-bar that passes all poses within your bounds.",
+    ),
+    "cranks": (
+        "Pick a crank on a blue part: its pivot (solid) or its pin at point 1 (dashed).",
+        "Pick its partner on a green part: its pivot (solid) or its joint at point 1 (dashed).",
+    ),
+    "couplers": (
+        "Pick a coupler on a blue part: its pin on the crank (solid) or its joint on the output (dashed), both at position 1. "
+        "The pivots are given: these curves belong to the bodies that move.",
+        "",
+    ),
+}
+"""What the page says before a driver and before its partner are picked, by the noun of a family."""
+
+NO_PARTNER = "This driver has no partner within your bounds and limits. Pick another driver."
+NO_DRIVER = (
+    "No linkage of these curves meets all targets within your bounds and limits. "
+    "Widen them, or list the exact solutions (X), which name the bounds."
+)
 
 
 def offered(problem: ProblemFile) -> bool:
-    """Return whether two dyads of a curve make a design of a problem."""
-    return problem.task == "path" and guided(problem.spec)
+    """Return whether the targets of a problem leave a family of linkages, of which curves show the joints."""
+    task = problem.spec if problem.model.parts else None
+    return task is not None and (applies(task) or (joints_given(task) and len(family_of(task).drivers.points) > 1))
 
 
-def curves(problem: ProblemFile, driver: Any, shown: Mapping[str, float] | None = None) -> dict[str, Any]:
-    """Return points and pivots [mm] of all dyads, None where they are far, and possible drivers; of a driver its partners.
+def curves(problem: ProblemFile, design: Design, driver: Any) -> dict[str, Any]:
+    """Return both ends [mm] of all drivers, None where they are far, and those that may drive; of a driver its partners.
 
-    Driver and partner are those of four-bars within the bounds; see `_rows` for `shown`, the quantities [SI] of a design.
+    Driver and partner are those of linkages within the bounds, with those of the `design` that is shown, see `_rows`. `single`:
+    whether a driver alone is a linkage. The pivots of a function are those of the `design`.
 
     Raises
     ------
     InputError
-        If the problem does not have four poses, or there is no such dyad.
+        If the problem does not leave a family of linkages, or there is no such driver.
     """
-    found, rows = _rows(problem, shown)
-    family, files = PoseFamily(found, found), problem.variants()
+    family, rows, partners = _rows(problem, design)
+    task, files = problem.variants()[0].spec, problem.variants()
+    first, second = HINTS[family.noun]
     if driver is None:
-        origin, far = np.array([found.places[0].real, found.places[0].imag]), MAX_REACH * found.size
-        ends = zip(("points", "pivots"), found.between(rows), strict=True)
-        placed = {name: _drawn(np.stack([part.real, part.imag], axis=1), origin, far) for name, part in ends}
-        drives = np.any(usable(files, family.positions(rows, rows)), axis=1)
-        return placed | {"drives": drives.tolist(), "poles": (1e3 * found.poles).tolist()}
-    row = np.array([_row(problem, rows, driver)])
-    return {"driver": driver, "usable": usable(files, family.positions(row, rows))[0].tolist()}
+        drives = np.any(usable(files, family.positions(rows, partners)), axis=1).tolist()
+        fields = {"drives": drives, "hint": first if any(drives) else NO_DRIVER, "single": len(partners) == 1}
+        return {**_drawn(family, family.ends(rows), task, design), **fields}
+    row = np.array([_row(problem, "driver", rows, driver)])
+    fits = usable(files, family.positions(row, partners))[0].tolist()
+    fields = {"driver": driver, "usable": fits, "hint": second if any(fits) else NO_PARTNER}
+    return {**_drawn(family, family.ends(row, partners), task, design), **fields}
 
 
-def _row(problem: ProblemFile, rows: Array, number: Any) -> float:
+def _row(problem: ProblemFile, key: str, rows: Array, number: Any) -> float:
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < len(rows):
-        raise InputError("no such dyad", "Pick a point of a curve", problem.file, "driver, follower", number)
+        raise InputError("no such dyad", "Pick a point of a curve", problem.file, key, number)
     return float(rows[number])
 
 
-def _rows(problem: ProblemFile, shown: Mapping[str, float] | None) -> tuple[DyadCurves, Array]:
-    """Return the dyads and their rows, last of all those of the design that is shown, with a gap between, if it consists of two.
+def _rows(problem: ProblemFile, design: Design) -> tuple[Family, Array, Array]:
+    """Return the family of a problem, and the rows of its drivers and of their partners.
 
-    Beside a design at its bounds no dyad of the drawn points need have a partner within them.
+    The rows that are nearest to the dyads of a design of poses are these dyads themselves: beside a design at its bounds no dyad
+    of the drawn points need have a partner within them.
     """
     if not offered(problem):
-        message, remedy = "only four poses of a four-bar with free timing have curves of dyads", "Leave all dimensions free"
-        raise InputError(message, remedy, problem.file, "requirement")
-    found = dyad_curves(problem)
-    if found.special:
-        raise InputError(found.special, "Change a pose", problem.file, "requirement.points")
-    rows = np.arange(float(len(found.points)))
-    if shown is None:
-        return found, rows
-    pivot, fixed, pin, joint = joints_at(problem.spec, shown)
-    own = np.array([found.row_of(pin, pivot), found.row_of(joint, fixed)])
-    gap = np.abs(np.stack(found.between(own)) - np.array([[pin, joint], [pivot, fixed]]))
-    return found, rows if np.max(gap) > SAME * found.size else np.concatenate([rows, own[:1], rows[-1:], own[1:]])
+        message = "only four poses, timed points or positions of an output leave linkages that curves show"
+        raise InputError(message, "Leave all dimensions free", problem.file, "requirement")
+    task = problem.variants()[0].spec
+    family = family_of(task)
+    if special := in_words(task, family.drivers.special or family.followers.special):
+        raise InputError(special, "Change a target", problem.file, "requirement")
+    rows, partners = np.arange(float(len(family.drivers.points))), family.rows
+    if task.requirement.kind == "motion":
+        pivot, fixed, pin, joint = joints_at(task, design.values)
+        for side, every, ends in ((family.drivers, rows, (pin, pivot)), (family.followers, partners, (joint, fixed))):
+            own = np.array([side.row_of(*ends)])
+            if np.max(np.abs(np.concatenate(side.between(own)) - ends)) <= SAME * side.size:
+                every[np.rint(own).astype(int)] = own
+    return family, rows, partners
 
 
-def _drawn(places: Array, origin: Array, far: float) -> list[list[float] | None]:
-    near = np.max(np.abs(places - origin), axis=1) <= far  # not where NaN
-    return [[round(x, 6), round(y, 6)] if kept else None for kept, (x, y) in zip(near, 1e3 * places, strict=True)]
+def _drawn(family: Family, ends: tuple[Complex, Complex], task: DesignProblem, design: Design) -> dict[str, Any]:
+    """Return both ends of dyads as they are drawn [mm]."""
+    origin, far = family.drivers.places[0], MAX_REACH * family.drivers.size
+    near = np.max(np.abs(np.array(ends) - origin), axis=0) <= far  # not where NaN
+    if task.law_given:  # as seen from the pivot of the crank
+        pivot, along = _frame(task, design)
+        ends = pivot + along * ends[0], pivot + along * ends[1]
+    return {
+        name: [[round(1e3 * z.real, 6), round(1e3 * z.imag, 6)] if kept else None for z, kept in zip(end, near, strict=True)]
+        for name, end in zip(("pivots", "points"), ends, strict=True)
+    }
 
 
-def joined(document: Document, driver: Any, follower: Any, shown: Mapping[str, float] | None) -> tuple[Document, Design]:
-    """Return the document with the four-bar of two dyads of `curves` as the start of its search, and this four-bar, validated.
+def _frame(task: DesignProblem, design: Design) -> tuple[complex, complex]:
+    """Return the pivot of the crank [m], and the vector to that of the rocker, or the direction of a guide."""
+    place: Any = task.linkage.ground[task.linkage.crank.start]
+    loop = task.four_bar
+    pivot = complex(*(design.values[part] if isinstance(part, str) else part for part in place))
+    along = cmath.exp(1j * frame_direction(task))
+    if loop is not None:
+        length, direction = loop.frame(design.values)
+        along = complex(length) * (along if direction is None else complex(*direction))
+    return pivot, along
+
+
+def joined(document: Document, design: Design, driver: Any, follower: Any) -> tuple[Document, Design]:
+    """Return the document with the linkage of a driver and a partner as the start of its search, and this linkage, validated.
+
+    `design`, `driver`, `follower`: what is shown, and numbers in `curves` of it.
 
     Raises
     ------
     InputError
-        If there is no such dyad, if the four-bar does not pass the poses, or if it lies outside the bounds.
+        If there is no such dyad, if the linkage does not meet the targets, or if it lies outside the bounds.
     """
-    rows, problem = _rows(document.problem, shown)[1], document.problem
-    chosen = [_row(problem, rows, number) for number in (driver, follower)]
-    return started(document, design_of(four_bar_of_dyads(problem, *chosen)))
+    problem = document.problem
+    _, rows, partners = _rows(problem, design)
+    pair = _row(problem, "driver", rows, driver), _row(problem, "follower", partners, follower)
+    return started(document, design_of(of_family(problem, *pair)))
 
 
 def started(document: Document, design: Design) -> tuple[Document, Design]:

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
-from optlink.linkage.bodies import FRAME
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.model import Problem
@@ -28,14 +27,6 @@ def groups(problem: ProblemFile) -> list[dict[str, Any]]:
     forms |= {f"mechanism.{name}": one for name, one in linkage.items() if one["is"] == "names"}
     forms["parts"] = _form_of(PartsSection)
     return [{"key": key, "form": form, "value": problem.at(key)} for key, form in forms.items()]
-
-
-def names(problem: ProblemFile) -> dict[str, str]:
-    """Return what a file can name, bodies, points, guides and cylinders, each with its kind."""
-    raw, linkage = problem.raw["mechanism"], problem.model.linkage
-    found = dict.fromkeys((*linkage.owners, *linkage.ground), "joint") | dict.fromkeys(linkage.bodies, "body")
-    found |= {guide.name: "guide" for guide in linkage.guides}
-    return found | dict.fromkeys(raw.get("cylinders", {}), "cylinder") | {FRAME: "body"}
 
 
 def changes(problem: ProblemFile, tables: Mapping[str, Any]) -> dict[str, object]:

@@ -255,7 +255,7 @@ RATE, BURST = 200.0, 400.0  # messages per second, and at once
 MAX_REFUSED = 2000  # refused messages after which no more are taken
 MAX_REPORTED = 100  # refused messages that are answered one by one
 REQUESTS = (
-    *("open", "new", "drag", "set", "edit", "lock", "search", "stop", "undo", "redo"),
+    *("open", "new", "drag", "set", "edit", "rename", "lock", "search", "stop", "undo", "redo"),
     *("draw", "choose", "dyads", "solutions", "region", "parts", "save", "export", "link"),
 )
 """Types of the requests that a page may send."""

@@ -11,6 +11,7 @@ from optlink.presentation.scene import regions_of
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile, load
+from optlink.problem.renaming import kinds, own_names, rename
 from optlink.studio import design as state, dyads, forms, parts, region, solutions
 from optlink.studio.design import (
     Design,
@@ -187,6 +188,17 @@ class Session:
         parts.check(self._design, self._document.problem, document.problem)
         self._commit(document)
 
+    def _rename(self, request: Mapping[str, Any]) -> None:
+        """Give a part of the linkage another name; the last design stays that of the problem."""
+        old, new, last = _text(request, "old"), _text(request, "new").strip(), self._design
+        if old == new:
+            return
+        document = self._document.renamed(old, new)
+        if last is not None:
+            values = dict(zip(document.problem.model.quantities, last.values.values(), strict=True))
+            self._design = Design(rename(last.problem, old, new), values, crank_angles=last.crank_angles)
+        self._commit(document)
+
     def _lock(self, request: Mapping[str, Any]) -> None:
         size = _text(request, "size")
         if not request.get("locked"):
@@ -251,13 +263,14 @@ class Session:
         self._begin([self._curve.document], design=chosen)
 
     def _dyads(self, request: Mapping[str, Any]) -> None:
-        """Send the curves of the dyads of four poses, or the partners of a driver; a driver and a follower are a new design."""
+        """Send the curves of a family of linkages, or the partners of a driver; a driver and a follower are a new design."""
         driver, follower = request.get("driver"), request.get("follower")
-        shown = None if self._design is None else self._design.values
-        if follower is None:
-            self._answer("dyads", **dyads.curves(self._document.problem, driver, shown))
+        if self._last is None:
             return
-        self._adopt(*dyads.joined(self._document, driver, follower, shown))
+        if follower is None:
+            self._answer("dyads", **dyads.curves(self._document.problem, self._last[0], driver))
+            return
+        self._adopt(*dyads.joined(self._document, self._last[0], driver, follower))
 
     def _solutions(self, request: Mapping[str, Any]) -> None:
         """Send all exact solutions, ranked by a quantity; one that is chosen by its number is a new design."""
@@ -484,7 +497,8 @@ class Session:
             "charts": [] if picture is None else state.charts(design, picture, problem),
         }
         if not moving:
-            message |= {"tables": forms.groups(document.problem), "names": forms.names(document.problem)}
+            message |= {"tables": forms.groups(document.problem), "names": kinds(document.problem)}
+            message["renamable"] = own_names(document.problem)
             message |= {"dyads": dyads.offered(document.problem), "solutions": solutions.offered(document.problem)}
             message["pivots"] = region.shown(document.problem)
         total = time.perf_counter()
@@ -521,6 +535,7 @@ _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
     "set": Session._set,
     "edit": Session._edit,
     "region": lambda session, request: session._change(region.changes(session._document.problem, request.get("box"))),
+    "rename": Session._rename,
     "lock": Session._lock,
     "search": Session._search,
     "undo": Session._undo,

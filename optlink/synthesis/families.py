@@ -40,6 +40,11 @@ class PoseFamily:
         poses = self.drivers
         return of_dyads(poses.places, poses.angles, poses.between(drivers), self.followers.between(rows))
 
+    def ends(self, drivers: Array, rows: Array | None = None) -> tuple[Complex, Complex]:
+        """Return pivots and points of the body at the first pose [m]: of drivers (n,), or of the partners (m,) of one."""
+        points, pivots = self.drivers.between(drivers) if rows is None else self.followers.between(rows)
+        return pivots, points
+
 
 @dataclass(frozen=True, eq=False)
 class _Timed:
@@ -89,6 +94,14 @@ class FunctionFamily(_Timed):
             pins * np.exp(1j * (self.inputs - self.inputs[0])), moved, np.zeros((1, 1), complex), fixed, slides=self.slides
         )
 
+    def ends(self, drivers: Array, rows: Array = ONE_ROW) -> tuple[Complex, Complex]:
+        """Return crank pins and joints of the output at the first position.
+
+        They count from the crank pivot, along the frame of length 1 or the guide.
+        """
+        found = self.positions(drivers, rows)
+        return found.pin[:, 0, 0], found.joint[:, 0, 0]
+
 
 @dataclass(frozen=True, eq=False)
 class TimedFamily(_Timed):
@@ -115,6 +128,14 @@ class TimedFamily(_Timed):
         """Return the four-bars of cranks (n,) and partners (m,)."""
         corners, pivots = self.drivers.between(drivers)
         return self.of_cranks(pivots, self.places[0] - corners, rows)
+
+    def ends(self, drivers: Array, rows: Array | None = None) -> tuple[Complex, Complex]:
+        """Return pivots and pins at the first point [m] of cranks (n,), or those of the partners (m,) of one."""
+        if rows is None:
+            corners, pivots = self.drivers.between(drivers)
+            return pivots, pivots + self.places[0] - corners
+        found = self.positions(drivers, rows)
+        return found.fixed[0], found.joint[0, :, 0]
 
     def of_cranks(self, pivots: Complex, cranks: Complex, rows: Array) -> Positions:
         """Return the four-bars of cranks (n,), from pivot to pin at the first point [m], and partners (m,)."""

@@ -159,8 +159,8 @@ class FourTargets(FiveTargets):
     def _solved(self) -> tuple[ExactSolutions, Sequence[FourBarSolution]]:
         """Return how many linkages meet the targets, and varied ones that do so within the bounds, best first."""
         curves, task = self.curves, self.task
-        for row in self.chosen or ():
-            if not 0 <= row < len(curves.points) or np.isnan(curves.between(np.array([row]))[0][0]):
+        for row, count in zip(self.chosen or (), (len(curves.points), len(self.family.rows)), strict=False):
+            if not 0 <= row < count:
                 message = curves.special or "no dyad of finite lengths"
                 raise InputError(message, "Give a row of `dyad_curves`", self.files[0].file, "driver, follower", row)
         note = "; ".join(dict.fromkeys(filter(None, (curves.note, self.followers.note))))
@@ -173,7 +173,7 @@ class FourTargets(FiveTargets):
         linkage = "four-bar" if task.four_bar else "slider-crank"
         counts = ExactSolutions(kind, 0, 0, 0, 0, self.sentence, False, (), linkage, note=note)
         found = [self.family.positions(np.array([float(i)]), np.array([float(k)])) for i, k in rows]
-        return counts, [one[0, 0] for one in found if self.chosen or one.pairs.defect[0, 0] != NO_LINKAGE]
+        return counts, [one[0, 0] for one in found if one.pairs.defect[0, 0] != NO_LINKAGE]
 
     def _linkage(self, driver: float, follower: float) -> FourBarSolution:
         """Return the linkage of two rows of the family."""
@@ -205,7 +205,7 @@ class FourTargets(FiveTargets):
         drive = f", of which {driving:z.0%} may drive" if task.requirement.kind == "motion" else ""
         self.sentence = (
             f"{curve} of {family.noun}{drive}; {np.sum(passing) / max(1, count):z.1%} of {count} {self._made} pass the "
-            f"{self._passed} in order (not: {reasons}), {np.sum(inside) / max(1, count):z.1%} within the bounds and limits"
+            f"{self.passed} in order (not: {reasons}), {np.sum(inside) / max(1, count):z.1%} within the bounds and limits"
         )
         if np.any(passing) and not np.any(inside):
             met = sorted(
@@ -287,7 +287,8 @@ class FourTargets(FiveTargets):
         return "four-bars" if self.task.four_bar else "slider-cranks"
 
     @property
-    def _passed(self) -> str:
+    def passed(self) -> str:
+        """What the linkages pass, in words."""
         return "poses" if self.task.requirement.kind == "motion" else "positions" if self.task.law_given else "points"
 
     def _measured(self, passing: NDArray[np.bool_], first: Sequence[tuple[int, int]], drivers: Array, followers: Array) -> Array:
@@ -450,11 +451,21 @@ def four_bar_of_dyads(problem: AnyProblem, driver: float, follower: float) -> Sy
     if not guided(problem.variants()[0].spec):
         message, remedy = "only four poses of a four-bar with free timing are met by any two dyads", "Leave all dimensions free"
         raise InputError(message, remedy, problem.file, "requirement")
+    return of_family(problem, driver, follower)
+
+
+def of_family(problem: ProblemFile, driver: float, follower: float) -> SynthesisResult:
+    """Return the validated linkage of two rows of the family of a problem, see `family_of`.
+
+    Raises
+    ------
+    InputError
+        If it does not meet the targets in order.
+    """
     clock = time.perf_counter()
     targets = FourTargets(problem.variants(), chosen=(driver, follower))
     if not targets.found or targets.found[0].design is None:
         reasons = ", ".join(reason for one in targets.found for reason in one.solution.reasons) or DEFECTS[-1]
-        message = f"the four-bar of these dyads does not pass the poses: {reasons}"
-        remedy = "Take a partner for which `partners` finds no defect"
-        raise InputError(message, remedy, problem.file, "driver, follower", [driver, follower])
+        message = f"this linkage does not pass the {targets.passed}: {reasons}"
+        raise InputError(message, "Take a partner without a defect", problem.file, "driver, follower", [driver, follower])
     return of_designs(problem, [targets.found[0].design], 1, seconds={"solve and validate": time.perf_counter() - clock})

@@ -10,11 +10,11 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
-from optlink.presentation.toml_text import rewritten
 from optlink.problem.document import VERSION_OF_SCHEMAS, stored_problem
 from optlink.problem.file import dump
 from optlink.problem.machine.model import FORMAT
 from optlink.problem.templates import templates
+from optlink.problem.toml_text import rewritten
 from optlink.studio.document import from_text
 
 OLD = optlink.new("law").replace(f"format = {FORMAT}\n", "")

@@ -654,7 +654,7 @@ def test_the_first_design_fills_the_canvas_and_prices_have_their_unit(page, tmp_
         f"const ends = {ends}; return [Math.min(...ends.map((e) => e.top)), Math.max(...ends.map((e) => e.bottom))]"
     )
     assert bottom - top > 0.3 * page.find("#canvas").size["height"]
-    assert "deg per 0.01" in page.text("#active")
+    assert "° per 0.01" in page.text("#active")
 
 
 @pytest.mark.slow
@@ -780,6 +780,14 @@ def typed(page, key: str, text: str) -> None:
     field.send_keys(text, Keys.TAB)
 
 
+def named(page, name: str) -> None:
+    """Rename the joint B: a double click on it, then its field."""
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    ActionChains(page.driver).double_click(page.find("[data-point=B]")).send_keys(name, Keys.ENTER).perform()
+
+
 def chosen(page, selector: str, value: str) -> None:
     """Choose an entry of a list."""
     page.run(
@@ -836,6 +844,25 @@ def test_elements_are_changed_and_exchanged_in_forms(page, tmp_path):
     page.find("#undo").click()
     page.until(f"return document.querySelector('[data-entry=\"{train}\"]')")
     assert "60, 20 · 45°" in page.text(f'[data-entry="{train}"] summary')
+    named(page, "second")
+    page.until("return document.querySelector('#toast').classList.contains('bad')")
+    assert "second is the name of a body. Choose another name for the joint" in page.text("#toast")
+    named(page, "pin_of_the_first_crank")
+    page.until("return document.activeElement.id === 'name-pin_of_the_first_crank'")
+    assert page.find("#toast").get_attribute("hidden") is not None  # what was refused is settled
+    page.verified()
+    assert "pin_of_the_first_crank" in page.text('[data-entry="mechanism.links.crank"] summary')
+    apart = page.run(
+        """const label = [...document.querySelectorAll('.names text')].find((one) => one.textContent.startsWith('pin_'));
+        const both = [label, document.querySelector('[data-point^=pin_]')], slider = document.querySelector('#crank');
+        return [...Array(12).keys()].map((k) => {
+          slider.value = (k * slider.max) / 12;
+          slider.dispatchEvent(new Event('input'));
+          const [a, b] = both.map((one) => one.getBoundingClientRect());
+          return Math.max(a.left - b.right, b.left - a.right);
+        });"""
+    )
+    assert max(apart) < 8.0  # px: the long name stands beside its joint at each position
 
 
 @pytest.mark.slow

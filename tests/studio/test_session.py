@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.presentation.toml_text import rewritten
 from optlink.problem.file import read
+from optlink.problem.toml_text import rewritten
 from optlink.studies.grid import exact_text, knobs
 from optlink.studio import design as state
 from optlink.studio.curve import curve_problem
@@ -648,3 +648,23 @@ def test_a_linked_dimension_follows_a_drag_and_is_not_dragged_itself():
         assert "rocker follows from other quantities: it equals 0.5*coupler + 3 mm" in fault["message"]
     page.ask("drag", handle="mechanism.frame", value=520.0, moving=False)
     assert saved(page).raw["mechanism"]["rocker"] == {"equals": "0.5*coupler + 3 mm"}
+
+
+@pytest.mark.slow
+def test_a_new_name_keeps_the_design_and_the_comments_and_is_undone() -> None:
+    made = Page()
+    before = made.state("new", template="stroke")
+    made.state("lock", size="rod.length", locked=True)
+    text, made.patient = made.ask("save")[0]["text"], False
+    state = made.ask("rename", old="rod", new="conrod")[0]
+    assert values(state)["conrod.length"] == values(before)["rod.length"]
+    assert "conrod" in state["renamable"]
+    assert made.ask("save")[0]["text"] == text.replace("rod = {", "conrod = {").replace('"rod"', '"conrod"')
+    made.ask("rename", old="conrod", new="conrod")
+    made.ask("lock", size="conrod.length", locked=False)
+    assert made.ask("rename", old="conrod", new="A")[0]["message"].endswith(
+        "A is the name of a joint. Choose another name for the body conrod"
+    )
+    for _ in range(2):
+        made.ask("undo")
+    assert made.ask("save")[0]["text"] == text

@@ -272,7 +272,8 @@ def sentence(design: LinkageDesign) -> str:
         clauses[0] += f", but deviates by up to {figure(1e3 * design.fit.excursion, 'mm')} on the way between {segment}"
     clauses = [*filter(None, clauses)]
     least = transmission(design)
-    text = "; ".join([*clauses, least] if least and clauses else clauses or [f"the {least}"] * bool(least))
+    alone = clauses or [f"the {least.replace('angle', 'angle is')}"] * bool(least)
+    text = "; ".join([*clauses, least] if least and clauses else alone)
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 
 

@@ -123,11 +123,10 @@ def _family_charts(family: Family, view: DesignView) -> Iterator[ChartSpec]:
     names = task.linkage.crank.start, loop.pin, *ends_of
     pivot, pin, joint, *fixed = (complex(*view.at.position(name)[0]) for name in names)
     if isinstance(family, TimedFamily):
-        corners, pivots = family.drivers.dyads
         found = family.of_cranks(np.array([pivot]), np.array([pin - pivot]), np.arange(0.0, len(family.rows), 0.25))
         usable, of, titles = _usable(found, view)[0], "partners of the drawn crank", ("Pivots", "Pins and joints, at point 1")
         ends = found.fixed[0], found.joint[0, :, 0]
-        cranks, marks = [pivots, pivots + family.places[0] - corners], [[pivot, *fixed], [pin, joint]]
+        cranks, marks = [*family.ends(np.arange(float(len(family.drivers.points))))], [[pivot, *fixed], [pin, joint]]
     else:
         found = family.positions(np.arange(len(family.drivers.points), dtype=float), family.rows)
         usable, of, titles = _usable(found, view)[:, 0], "all", ("Crank pins at position 1", "Joints of the output there")

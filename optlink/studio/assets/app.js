@@ -2,7 +2,7 @@
 import { Background } from "./background.js";
 import { dropDown, keyboard, takeFiles } from "./commands.js";
 import { Curve } from "./curve.js";
-import { $, bytes, download, hint, sentence, setText, svg, toast } from "./dom.js";
+import { $, bytes, download, hint, sentence, setText, settled, svg, toast } from "./dom.js";
 import { Dyads } from "./dyads.js";
 import { Elements } from "./elements.js";
 import { Handles } from "./handles.js";
@@ -156,7 +156,7 @@ const panel = new Panel({
   drag: (fields) => drag(fields, performance.now()),
 });
 
-const elements = new Elements((tables) => ask("edit", { tables }));
+const elements = new Elements((tables) => ask("edit", { tables }), (old, name) => ask("rename", { old, new: name }));
 const parts = new Parts({
   ask: () => live.send("parts"),
   edit: (tables) => ask("edit", { tables }),
@@ -310,6 +310,7 @@ const busy = (on) => {
 };
 
 let link = "";
+let refused = 0; // number of the last request that was refused
 const live = new Live(keptToken(), {
   hello(message) {
     start.take(message);
@@ -328,12 +329,15 @@ const live = new Live(keptToken(), {
   },
   state(message) {
     busy(false);
+    if (message.id > refused) {
+      settled();
+    }
     search.state(message);
     if (message.tables) {
       if (refit) {
         elements.discard();
       }
-      elements.take(message.id, message.tables, message.names);
+      elements.take(message.id, message.tables, message.names, message.renamable);
     }
     fresh = fresh && !message.handles ? { ...message, handles: fresh.handles, scene: merged(message.scene, fresh.scene) } : message;
     redrawNow();
@@ -360,6 +364,7 @@ const live = new Live(keptToken(), {
   },
   fault({ id, message, faults }) {
     busy(false);
+    refused = id ?? refused;
     search.take(null);
     if (elements.refused(id, faults || [])) {
       return;
@@ -367,6 +372,7 @@ const live = new Live(keptToken(), {
     toast(sentence(message), true);
     state && panel.take(state, handles); // what was typed and refused is in the message
     state && parts.state(state);
+    elements.named();
     if (tool === "solutions") {
       solutions.refused() || choose("select");
     } else if (linkage.canvas.classList.contains("preview")) {
@@ -438,6 +444,7 @@ function choose(name) {
 for (const name of TOOLS) {
   $(`tool-${name}`).addEventListener("click", () => choose(tool === name ? "select" : name));
 }
+canvas.addEventListener("dblclick", (event) => tool === "select" && elements.edit(linkage.named(event)));
 canvas.addEventListener("pointermove", (event) => tool === "dyads" && dyads.move(event));
 view.follow((event) => tool === "draw" || tool === "region" || (tool === "dyads" && dyads.near(event) !== null) || (tool === "back" && (background.busy || background.node)) || event.target.closest?.(".handle"));
 canvas.addEventListener("pointerdown", (event) => {

@@ -60,9 +60,10 @@ const KEYS = [
   ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo"],
   ["Ctrl+S, Ctrl+O", "save, open"],
   ["+, −, 0", "zoom in, out, fit"],
-  ["V, D, P, X, R, B", "select, draw a curve, pick dyads of four poses, list exact solutions, region of the pivots, background"],
+  ["V, D, P, X, R, B", "select, draw a curve, pick from curves, list exact solutions, region of the pivots, background"],
   ["L", "links as parts with their layers, or as lines"],
   ["Esc", "give up a drag, close"],
+  ["Double-click", "rename a joint or a link"],
   ["Wheel, two fingers", "zoom; drag the empty canvas to pan"],
 ];
 $("keys-text").append(

@@ -114,9 +114,11 @@ export function hint(text, actions = [], lasts = false) {
 export const sentence = (text) => text.replace(/^(the|a|an|no|there|this|what|unknown) /, (word) => word[0].toUpperCase() + word.slice(1)).replace(/[^.!?]$/, "$&.");
 
 let hiding = 0;
+const close = () => ($("toast").hidden = true);
+// What was refused does not matter any longer: a later change was accepted.
+export const settled = () => $("toast").classList.contains("bad") && close();
 export function toast(text, bad = false) {
   const node = $("toast");
-  const close = () => (node.hidden = true);
   node.replaceChildren(text, ...(bad ? [el("button", { class: "icon", "aria-label": "Close", onclick: close }, icon("close"))] : []));
   node.classList.toggle("bad", bad);
   node.hidden = false;

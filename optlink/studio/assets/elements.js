@@ -42,14 +42,15 @@ function gist(value) {
 }
 
 export class Elements {
-  // `send(tables)` asks for a change and returns the number of the request
-  constructor(send) {
-    this.send = send;
+  // `send(tables)` asks for a change and returns the number of the request, `rename(old, name)` for another name of a part
+  constructor(send, rename) {
+    Object.assign(this, { send, rename });
     this.groups = [];
+    this.own = [];
     this.discard();
     const bar = el("p", { class: "unapplied", hidden: true }, el("span"), el("button", { text: "Discard", onclick: () => (this.discard(), this.render()) }));
     const add = el("select", { id: "add", "aria-label": "Add an element, a drive or parts", onchange: () => this.add(add.value) });
-    $("elements").append(el("div", { class: "head" }, el("h2", { text: "Elements, drives and parts" }), add), bar, el("div"), el("datalist", { id: "names" }));
+    $("elements").append(el("div", { class: "head" }, el("h2", { text: "Elements, drives and parts" }), add), bar, el("div"), el("details", { class: "group", id: "renaming", hidden: true }, el("summary", {}, el("b", { text: "Names" }), el("small")), el("div", { class: "fields" })), el("datalist", { id: "names" }));
   }
 
   discard() {
@@ -60,13 +61,45 @@ export class Elements {
   }
 
   // A state with the tables of the problem; an answer to what was sent makes the drafts part of it.
-  take(id, groups, names) {
+  take(id, groups, names, own) {
     if (this.sent !== null && id >= this.sent) {
       this.discard();
     }
     this.groups = groups;
     $("names").replaceChildren(...Object.entries(names).map(([name, kind]) => el("option", { value: name, label: `${name}: ${kind}` })));
+    this.own = own.map((name) => [name, names[name]]);
     this.render();
+  }
+
+  // Names of the parts of the linkage, each in a field; one that was refused is as before.
+  named() {
+    const [head, list] = $("renaming").children;
+    $("renaming").hidden = !this.own.length;
+    setText(head.lastChild, String(this.own.length));
+    const make = () => {
+      const field = el("input", { type: "text", spellcheck: "false", autocomplete: "off" });
+      field.addEventListener("input", () => (field.typing = true));
+      field.addEventListener("change", () => ((field.typing = false), field.value.trim() === field.name ? this.named() : this.rename(field.name, field.value.trim())));
+      field.addEventListener("keydown", (event) => event.key === "Escape" && ((field.typing = false), this.named(), field.blur()));
+      return el("div", { class: "field" }, el("label"), field);
+    };
+    keyed(list, this.own, (_, k) => k, make, ({ firstChild: label, lastChild: field }, [name, kind]) => {
+      setText(label, kind);
+      label.htmlFor = field.id = `name-${name}`;
+      field.ariaLabel = `Name of the ${kind} ${name}`;
+      field.name = name;
+      field.value = field.typing ? field.value : name;
+    });
+  }
+
+  // Show the field of a name, if the part has one.
+  edit(name) {
+    const field = document.getElementById(`name-${name}`);
+    if (field) {
+      $("renaming").open = true;
+      field.scrollIntoView({ block: "nearest" });
+      field.select();
+    }
   }
 
   // The server refuses the drafts; returns whether these faults are about them.
@@ -93,6 +126,7 @@ export class Elements {
   }
 
   render() {
+    this.named();
     const listed = this.groups.map((group) => ({ group, entries: this.entries(group) }));
     const names = this.groups.filter((one) => one.form.of?.is === "table" || !this.entries(one).length);
     const add = $("add");

@@ -5,6 +5,7 @@ const LAYERS = ["slot", "profile", "auxiliary", "plate", "bar", "block", "crank"
 const RAD = Math.PI / 180;
 const SIDES = [45, 135, 90, -45, -135, -90, 0, 180]; // of a joint on which its name can stand, best first [deg]
 const CLEAR = 40; // between a name and a link [deg]
+const ON = 14; // distance from a point at which the pointer is on it [px]
 const BESIDE = 36; // distance of joints whose names could be confused [px]
 const POINT = 1 / 8; // line width of one point, as a share of the height of a ground pivot
 
@@ -310,6 +311,14 @@ export class Linkage {
     return at && at[0] !== null ? at : null;
   }
 
+  // Name of the point that the pointer is on, or of the body.
+  named(event) {
+    const [x, y] = this.view.of(event);
+    const away = (at) => at && Math.hypot(at[0] - x, at[1] - y) * this.view.scale < ON;
+    const point = Object.keys(this.scene?.points || {}).find((name) => away(this.point(name)));
+    return point ?? event.target.closest?.("[data-body]")?.dataset.body;
+  }
+
   // Position of the motion at which a moving point is at a place [mm]; null if there is none.
   position([x, y]) {
     const { scene } = this;
@@ -377,7 +386,7 @@ export class Linkage {
         names[k].side = side(names[k].side, [...this.directions(node.dataset.point, low), ...joints]);
         const turn = names[k].side * RAD;
         const pin = (this.radii.get(node.dataset.point) || 0) * view.scale;
-        const [dx, dy] = [(9.5 + pin + 3.6 * node.dataset.point.length) * Math.cos(turn), 4 - (18 + pin) * Math.sin(turn)];
+        const [dx, dy] = [(9.5 + pin + 3.6 * names[k].textContent.length) * Math.cos(turn), 4 - (18 + pin) * Math.sin(turn)];
         names[k].setAttribute("transform", `translate(${(x + dx).toFixed(2)} ${(y + dy).toFixed(2)})`);
       }
     });

@@ -121,7 +121,7 @@ export class Panel {
     if (state.objective) {
       setText(label, state.objective.label);
       const tiny = state.objective.value !== 0 && Math.abs(state.objective.value) < NOTHING;
-      setText(value, `${tiny ? "< " : ""}${quantity(tiny ? NOTHING : state.objective.value, state.objective.unit, tiny ? 2 : 6)}`);
+      setText(value, `${tiny ? "< " : ""}${quantity(tiny ? NOTHING : state.objective.value, state.objective.unit, tiny ? 2 : 6).replace(/^(−?\d{2,})(\d{3})(?=\D|$)/, "$1,$2")}`);
     }
     const seconds = state.seconds?.solve;
     setText($("took"), Number.isFinite(seconds) && state.status !== "infeasible" && !state.searching ? `${state.kind === "analysis" ? "computed" : "solved"} in ${seconds < 1 ? `${number(1e3 * seconds, 2)} ms` : `${number(seconds, 2)} s`}` : "");
@@ -151,7 +151,7 @@ export class Panel {
     const unit = el("span", { class: "unit" });
     const track = el("div", { class: "track" }, el("i"), el("b"));
     const lock = el("button", { class: "icon lock", "aria-pressed": "false" }, icon("unlock"));
-    const row = el("tr", { "data-variable": name }, el("th", { scope: "row" }, ...name.split(/(?<=\.)/).flatMap((part) => [part, el("wbr")])), el("td", { class: "num" }, value, unit), el("td", { class: "bounds" }, track, el("small"), el("p", {}, this.bound(name, 0, () => row), "…", this.bound(name, 1, () => row))), el("td", {}, lock));
+    const row = el("tr", { "data-variable": name }, el("th", { scope: "row" }, ...name.split(/(?<=\.)/).flatMap((part) => [part, el("wbr")])), el("td", { class: "num" }, value, unit), el("td", { class: "bounds" }, track, el("small"), el("p", {}, this.bound(name, 0, () => row), this.bound(name, 1, () => row))), el("td", {}, lock));
     lock.addEventListener("click", () => this.actions.lock(name, !row.variable.locked));
     for (const part of [0, 1]) {
       track.append(this.knob(row, part));
@@ -185,6 +185,7 @@ export class Panel {
       knobs.forEach((knob, part) => {
         knob.hidden = !handle;
         const edge = part ? high : low;
+        knob.setAttribute("aria-label", `${part ? "upper" : "lower"} bound of ${variable.name}, dragged`);
         knob.setAttribute("aria-valuenow", String(edge));
         knob.setAttribute("aria-valuetext", quantity(edge, variable.unit, 4));
       });
@@ -343,7 +344,7 @@ export class Panel {
       ({ children: [name, price] }, one) => {
         const sides = one.limit.replace("<=", "≤").replace(">=", "≥");
         setText(name, sides + (Number.isFinite(one.value) ? ` ${quantity(one.value, one.unit, 4, plain)}` : ""));
-        const shown = (value) => quantity(/[<>]/.test(one.limit) ? Math.abs(value) : value, one.price_unit?.replace(/^1 per/, "per"), 4);
+        const shown = (value) => quantity(/[<>]/.test(one.limit) ? Math.abs(value) : value, one.price_unit?.replace(/^1 per/, "per").replace(/\bdeg\b/g, "°"), 4).replace(" °", "°");
         const joint = one.joint_price ? `; all together ${shown(one.joint_price)}` : "";
         setText(price, one.price === null ? "–" : joint ? `alone ${shown(one.price)}${joint}` : shown(one.price));
       }

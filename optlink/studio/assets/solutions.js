@@ -16,6 +16,9 @@ export class Solutions {
       return;
     }
     Object.assign(this, { wanted, items: [] });
+    if (!wanted && $("found").contains(document.activeElement)) {
+      $("tool-solutions").focus();
+    }
     $("found").hidden = !wanted;
     if (wanted) {
       $("found-by").value = "";
@@ -45,6 +48,9 @@ export class Solutions {
       this.usual ??= message.by;
       this.show(message);
       this.look(0);
+      if ([document.body, $("tool-solutions")].includes(document.activeElement)) {
+        $("found-items").querySelector("button")?.focus(); // the way by keyboard leads through the list
+      }
     }
   }
 
