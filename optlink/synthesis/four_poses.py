@@ -11,15 +11,17 @@ J. M. McCarthy and G. S. Soh, Geometric Design of Linkages, 2nd ed. (2011), chap
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import TURN, Array
-from optlink.synthesis.five_poses import INFINITE, MANY, SPECIAL, Complex, FourBarSolution, equations, link, special
+from optlink.synthesis.five_poses import INFINITE, SPECIAL, Complex, FourBarSolution, equations, link, special
+
+Part = Callable[[Array], tuple[Array, Array]]  # points and pivots (n, 3) of unit length at places 0 ... 1 of a closed curve
 
 POSES = 4
 SAMPLES = 512  # points of each closed curve
@@ -37,7 +39,15 @@ CLOSER = 12  # times that a row is sought between its neighbours, each time 16 t
 AT = 1e-9  # distance from a pole, in units of the displacement, that is rounding
 NEAR = 1e-3  # one below which the dyad depends on the last digits of the poses
 FARTHEST = 10.0  # largest distance of points along the line of two poses, by the larger one of their displacement and of `reach`
+ONE_POLE = 1e-5  # spread of the poles of three poses, by the largest displacement or their distance, up to which they are one
+BENT = 1e-2  # of `_Sheets.bend`, below which another pole may be used than that of the largest rotation
 REPEATED = "poses {} and {} are the same: three poses have a dyad for each point of the body"
+CENTRE_OF_THREE = (
+    "in all poses but {} the body turns about one point: each dyad has its pivot or its point there, so that two of them are no"
+    " four-bar, or one that is folded at these poses"
+)
+LINE_OF_THREE = "in all poses but {} the body moves along a line without turning: no link of finite length leads through them"
+NEARLY = "the poses nearly are special ones, whose curves of dyads are not traced: change one angle by 0.001 deg"
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,16 +167,42 @@ def curves(places: Sequence[complex] | Complex, angles: Sequence[float] | Array,
     for i, j in itertools.combinations(range(POSES), 2):
         if abs(scaled[i] - scaled[j]) <= SPECIAL and abs(math.remainder(turn[i] - turn[j], TURN)) <= SPECIAL:
             return DyadCurves(z, turn, size, special=REPEATED.format(i + 1, j + 1))
-    if sentence := special(scaled, turn):
+    if sentence := special(scaled, turn) or _special_three(scaled, turn):
         return DyadCurves(z, turn, size, special=sentence)
     poles, sines = _poles(scaled, turn)
-    sheets = _Sheets(equations(scaled, turn)[0], poles[int(np.argmax(sines))])
-    if sheets.vanishes or not sheets.intervals:
-        return DyadCurves(z, turn, size, special=MANY)
-    trace = _Trace(sheets, [(*ends, sheets.spaced(*ends, samples)) for ends in sheets.intervals])
+    q = equations(scaled, turn)[0]
+    lines = [np.linalg.svd(q @ pole) for pole in poles[:3]]  # the pole of two poses may be that of the two others
+    shared = [k for k in range(3) if min(sines[k], sines[-1 - k]) > SPECIAL and lines[k][1][1] <= SPECIAL * lines[k][1][0]]
+    each = (_Sheets(q, poles[k], float(sines[k])) for k in [*shared, *np.argsort(-np.round(sines, 9), kind="stable")])
+    sheets = next(each)
+    if sheets.bend < BENT:
+        sheets = max([sheets, *each], key=lambda one: round(one.bend, 9))  # of mirror images the first
+    parts: list[Part] = [partial(sheets.dyads, *ends) for ends in sheets.intervals]
+    parts += [partial(_points_of_pole, poles[k], lines[k][2][1:]) for k in shared]
+    if sheets.bend <= SPECIAL:
+        parts.append(sheets.tangent_line)
+    if not parts:
+        return DyadCurves(z, turn, size, special=NEARLY)
+    trace = _Trace([(part, _spaced(part, samples)) for part in parts])
     finite = poles[sines > SPECIAL, :2]
-    every = trace(np.arange(len(trace.parts) * (samples + 1.0)))
+    every = trace(np.arange(len(parts) * (samples + 1.0)))
     return DyadCurves(z, turn, size, every, [z[0].real, z[0].imag] + size * finite, _trace=trace)
+
+
+def _special_three(places: Complex, angles: Array) -> str:
+    """Return a sentence about three poses that have a pole in common, which may lie at infinity; empty for others."""
+    for k in range(POSES):
+        first, *others = np.delete(places, k)
+        begin, *ends = np.delete(angles, k)
+        d, tau = np.array(others) - first, np.exp(1j * (np.array(ends) - begin)) - 1.0
+        turned = np.max(np.abs(tau))
+        if turned > SPECIAL:
+            centre = -np.vdot(tau, d) / np.vdot(tau, tau)
+            if np.max(np.abs(d + centre * tau)) <= ONE_POLE * max(1.0, abs(centre)) * turned:
+                return CENTRE_OF_THREE.format(k + 1)
+        elif abs((d[1] * np.conj(d[0])).imag) <= SPECIAL:
+            return LINE_OF_THREE.format(k + 1)
+    return ""
 
 
 def dyads_of_joint(places: Complex, angles: Array, joint: complex, *, fixed: bool, reach: float = 0.0) -> DyadCurves:
@@ -228,8 +264,8 @@ class _Sheets:
     On the line pole + r (cos t, sin t) the determinant of the equations is r (c + b r + a r^2).
     """
 
-    def __init__(self, q: Array, pole: Array) -> None:
-        self.q, self.pole, self.rows = q, pole, q @ pole
+    def __init__(self, q: Array, pole: Array, sine: float) -> None:
+        self.q, self.pole, self.sine, self.rows = q, pole, sine, q @ pole
         # the discriminant is a polynomial of degree 2 in exp(2it), given by its values at five angles
         angles = np.linspace(0.0, np.pi, 5, endpoint=False)
         c, b, a = self.coefficients(angles)
@@ -238,11 +274,18 @@ class _Sheets:
         roots = np.roots(series[[2, 1, 0, 4, 3]])
         real = roots[np.abs(np.abs(roots) - 1.0) <= ON_CIRCLE]
         self.ends = np.sort(np.mod(0.5 * np.angle(real), np.pi))
+        slope = complex(c @ np.exp(1j * angles)) * 0.4  # c is that of a cosine
+        self.slope, self.tangents = abs(slope), np.array([math.atan2(-slope.real, slope.imag)])
+        self.twice = self.slope <= SPECIAL * self.scale  # the curve passes the pole twice: c is zero, and b along both tangents
+        if self.twice:
+            self.tangents = 0.5 * np.angle(np.roots(np.fft.fft(b)[[1, 0, 4]]))
 
-    @property
-    def vanishes(self) -> bool:
-        """Whether each pivot of the plane has a dyad."""
-        return self.scale <= SPECIAL
+    @cached_property
+    def bend(self) -> float:
+        """How much the curve leaves its tangents at the pole: 0 if one is a part of it, or if it nearly passes the pole twice."""
+        _, b, a = self.coefficients(self.tangents)
+        least = float(np.min(np.hypot(a, b), initial=self.scale)) / max(self.scale, SPECIAL)
+        return float(least > BENT**2) if self.twice else self.sine * min(self.slope / max(self.scale, SPECIAL), least)
 
     def coefficients(self, angles: Array) -> tuple[Array, Array, Array]:
         """Return c, b and a at angles (n,) of the line."""
@@ -255,6 +298,8 @@ class _Sheets:
     @property
     def intervals(self) -> list[tuple[float, float, float]]:
         """Ends of the angle, and the sheet: 0 for both, which join at the ends, else +1 or -1."""
+        if self.twice:
+            return [(0.0, math.pi, 1.0)]
         if not len(self.ends):
             return [(0.0, math.pi, 1.0), (0.0, math.pi, -1.0)]
         ranges = []
@@ -274,43 +319,64 @@ class _Sheets:
         root = sign * np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))
         first = -b * sign >= 0.0  # of two equal forms the one without cancellation
         of_pole, of_line = np.where(first, 2.0 * a, -b - root), np.where(first, root - b, 2.0 * c)
+        if self.twice:
+            of_pole, of_line = a, -b
         direction = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
-        pivots = of_pole[:, None] * self.pole + of_line[:, None] * direction
-        pivots /= np.linalg.norm(pivots, axis=1)[:, None]
+        return self.with_points(of_pole[:, None] * self.pole + of_line[:, None] * direction)
+
+    def tangent_line(self, along: Array) -> tuple[Array, Array]:
+        """Return the dyads of the tangent at the pole, if it is a part of the curve, as `dyads` does."""
+        return self.with_points(
+            _on_line(np.array([self.pole, [math.cos(self.tangents[0]), math.sin(self.tangents[0]), 0.0]]), along)
+        )
+
+    def with_points(self, pivots: Array) -> tuple[Array, Array]:
+        """Return the points of pivots (n, 3), and these, all of unit length."""
+        with np.errstate(invalid="ignore"):  # of three lines, where two of them meet
+            pivots = pivots / np.linalg.norm(pivots, axis=1)[:, None]
         rows = np.einsum("kij,nj->nki", self.q, pivots)
         crossed = np.cross(rows, np.roll(rows, -1, axis=1))  # the best of three: two rows may be parallel at a pole
         best = np.argmax(np.linalg.norm(crossed, axis=2), axis=1)
         points = crossed[np.arange(len(best)), best]
         return points / np.linalg.norm(points, axis=1)[:, None], pivots
 
-    def spaced(self, low: float, high: float, sheet: float, samples: int) -> Array:
-        """Return places along a closed curve, evenly spaced for points and pivots together on the sphere of unit vectors."""
-        along = np.linspace(0.0, 1.0, samples)
-        for _ in range(ROUNDS):
-            chords = np.zeros(len(along) - 1)
-            for one in self.dyads(low, high, sheet, along):
-                chords += np.linalg.norm(np.cross(one[1:], one[:-1]), axis=1)
-            length = np.concatenate([[0.0], np.cumsum(chords + 1e-3 * np.mean(chords))])
-            along = np.interp(np.linspace(0.0, length[-1], samples), length, along)
-        return along
+
+def _on_line(two: Array, along: Array) -> Array:
+    """Return points (n, 3) at places 0 ... 1 of the line through two (2, 3)."""
+    return np.stack([np.cos(np.pi * along), np.sin(np.pi * along)], axis=1) @ two
+
+
+def _points_of_pole(pole: Array, two: Array, along: Array) -> tuple[Array, Array]:
+    """Return the dyads of one pivot, whose points lie on a line through two (2, 3), as `_Sheets.dyads` does."""
+    return _on_line(two, along), np.repeat(pole[None, :] / np.linalg.norm(pole), len(along), axis=0)
+
+
+def _spaced(dyads: Part, samples: int) -> Array:
+    """Return places along a closed curve, evenly spaced for points and pivots together on the sphere of unit vectors."""
+    along = np.linspace(0.0, 1.0, samples)
+    for _ in range(ROUNDS):
+        chords = np.zeros(len(along) - 1)
+        for one in dyads(along):
+            chords += np.linalg.norm(np.cross(one[1:], one[:-1]), axis=1)
+        length = np.concatenate([[0.0], np.cumsum(chords + 1e-3 * np.mean(chords))])
+        along = np.interp(np.linspace(0.0, length[-1], samples), length, along)
+    return along
 
 
 @dataclass(frozen=True)
 class _Trace:
-    """Closed curves one after another with a gap behind each: their ends, sheets and places of the rows along them."""
+    """Closed curves one after another with a gap behind each: their dyads, and places of the rows along them."""
 
-    sheets: _Sheets
-    parts: Sequence[tuple[float, float, float, Array]]
+    parts: Sequence[tuple[Part, Array]]
 
     def __call__(self, rows: Array) -> tuple[Array, Array]:
         """Return points and pivots (n, 3) at rows, whole or not; NaN at gaps."""
         found = np.full((2, len(rows), 3), np.nan)
-        count = len(self.parts[0][3])
+        count = len(self.parts[0][1])
         part = np.floor(rows / (count + 1)).astype(int)
-        for k, (low, high, sheet, along) in enumerate(self.parts):
+        for k, (dyads, along) in enumerate(self.parts):
             own = np.flatnonzero((part == k) & (rows - k * (count + 1) < count))
-            places = np.interp(rows[own] - k * (count + 1), np.arange(count), along)
-            found[:, own] = self.sheets.dyads(low, high, sheet, places)
+            found[:, own] = dyads(np.interp(rows[own] - k * (count + 1), np.arange(count), along))
         return found[0], found[1]
 
 

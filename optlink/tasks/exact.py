@@ -15,7 +15,7 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.requirements.base import pose_angles
 from optlink.problem.terms import QUANTITIES, Goal, read_words
-from optlink.synthesis.five_poses import ONE_CENTRE, FourBarSolution, link, special
+from optlink.synthesis.five_poses import ONE_CENTRE, TRANSLATED, FourBarSolution, link, special
 from optlink.synthesis.four_poses import POSES
 from optlink.synthesis.poses_and_points import four_bars
 from optlink.synthesis.start_problems import COUNTS, FIVE_POINTS
@@ -51,7 +51,7 @@ class PosesAndPoints(FiveTargets):
             if same and not (posed[i] and posed[j]):
                 return replace(counts, special=REPEATED_POINT.format(i + 1, j + 1)), ()
         relative = (places - places[0])[posed] / np.max(np.abs(places - places[0]))
-        if poses == POSES and (sentence := special(relative, wanted)):
+        if (sentence := special(relative, wanted)) and (poses == POSES or (poses > 2 and sentence == TRANSLATED)):
             return replace(counts, special=ONE_JOINT if sentence == ONE_CENTRE else sentence), ()
         order = np.argsort(~posed, kind="stable")  # poses first
         found, back = four_bars(places[order], wanted, pivots=pivots), np.argsort(order)

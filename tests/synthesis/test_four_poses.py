@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 
+from optlink.synthesis import four_poses
 from optlink.synthesis.five_poses import link
 from optlink.synthesis.four_poses import DEFECTS, curves
 from tests.synthesis.test_five_poses import steps_through
@@ -26,8 +27,14 @@ def determinant(z, turn, a):
     return np.linalg.det(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
 
 
-def crossings(z, turn, half, lines=24):
-    """Pivots on horizontal and vertical lines at which the determinant changes its sign, by bisection of a dense grid."""
+def off_circle(z, turn, p):
+    """Zero where the four places of a body point lie on a circle or a line: the imaginary part of their cross ratio."""
+    q = [z[k] + np.exp(1j * (turn[k] - turn[0])) * (p - z[0]) for k in range(4)]
+    return ((q[0] - q[2]) * (q[1] - q[3]) * np.conj((q[0] - q[3]) * (q[1] - q[2]))).imag
+
+
+def crossings(z, turn, half, lines=24, determinant=determinant):
+    """Places on horizontal and vertical lines at which the determinant changes its sign, by bisection of a dense grid."""
     along = np.linspace(-half, half, 1501)
     for level in np.linspace(-half, half, lines):
         for turned in (1.0, 1j):
@@ -59,6 +66,43 @@ def test_every_crossing_of_a_grid_lies_on_the_curve(seed):
     assert max(seen) < 5e-3 * found.size
 
 
+SPECIALS = {
+    "mirrored": ([1 + 0.4j, 0.6 - 0.2j, -0.6 - 0.2j, -1 + 0.4j], [0.9, 0.3, -0.3, -0.9]),
+    "doubly symmetric": ([1, np.exp(1j), -1, -np.exp(1j)], [0.0, 0.6, 0.0, 0.6]),
+    "one pole of two pairs": (
+        np.exp([0j, 0.5j, 1.1j, 1.9j]) * [1 + 0.5j, 1 + 0.5j, 0.2j - 0.4, 0.2j - 0.4],
+        [0.0, 0.5, 1.1, 1.9],
+    ),
+    "one point at two pairs": (np.exp([0j, 0.5j, 1.1j, 1.9j]) * (0.8 - 0.1j) + [0, 0, 1.3, 1.3], [0.0, 0.5, 1.1, 1.9]),
+}
+
+
+@pytest.mark.parametrize("name", SPECIALS)
+def test_no_straight_part_of_the_curves_is_lost(name):
+    """Poses with lines of pivots, of points, or of points that have one pivot: the pole that is used may lie on them."""
+    z, turn = map(np.array, SPECIALS[name])
+    for order in ([0, 1, 2, 3], [2, 0, 3, 1]):
+        found = curves(z[order], turn[order])
+        assert not found.special
+        assert lengths_kept(found) < 1e-10
+        for line, zero in zip(found.dyads, (off_circle, determinant), strict=True):
+            seen = [np.nanmin(np.abs(line - at)) for at in crossings(found.places, found.angles, 2.0 * found.size, 8, zero)]
+            assert len(seen) >= 8
+            assert max(seen) < 0.1 * found.size
+
+
+@pytest.mark.parametrize("near", [0.0, 1e-7])
+@pytest.mark.parametrize("odd", range(4))
+def test_three_poses_about_one_point_are_told_in_any_order(odd, near):
+    angles = np.array([0.2, 1.5, -0.7, 0.9])
+    places = np.exp(1j * angles) * (1 + 0.5j) + 2 + near * np.array([1, 1j, -1, 2j])
+    places[odd] = 0.3 - 1.2j
+    assert curves(places, angles).special == four_poses.CENTRE_OF_THREE.format(odd + 1)
+    angles = np.insert(np.zeros(3), odd, 0.4)
+    assert curves(np.insert([0.0, 1 + 1j, 3 + 3j], odd, 1j), angles).special == four_poses.LINE_OF_THREE.format(odd + 1)
+    assert not curves(np.insert([0.0, 1 + 1j, 3 + 2j], odd, 1j), angles).special
+
+
 def lengths_kept(found):
     """Largest relative change of the length of a dyad between the poses, by displacing its point as part of the body."""
     points, pivots = (part[~np.isnan(part)] for part in found.dyads)
@@ -81,8 +125,8 @@ def test_every_dyad_keeps_its_length(alike):
 
 def test_both_kinds_of_curves_are_closed_and_evenly_traced():
     counts = set()
-    for seed in range(20):
-        found = curves(*random_poses(seed))
+    for poses in [*map(random_poses, range(20)), *(SPECIALS[name] for name in SPECIALS.keys() - {"doubly symmetric"})]:
+        found = curves(*poses)
         counts.add(found.count)
         ends = np.flatnonzero(np.isnan(found.homogeneous[0][:, 0]))
         for part in found.homogeneous:
@@ -133,7 +177,7 @@ def test_turning_and_transmission_equal_a_sweep():
         ([0, 1, 1j, 1], [0.0, 0.3, 0.6, 0.3], "poses 2 and 4 are the same: three poses"),
         ([0, 1, 1j, 2], [0.2] * 4, "does not turn"),
         ([2 + 1j - (2 + 1j) * np.exp(1j * t) for t in (0.0, 0.3, 0.5, 0.9)], [0.0, 0.3, 0.5, 0.9], "about one point"),
-        ([0, 0, 0, 1], [0.0, 0.3, 0.5, 0.9], "special positions"),
+        ([0, 0, 0, 1], [0.0, 0.3, 0.5, 0.9], "in all poses but 4 the body turns about one point: each dyad"),
     ],
 )
 def test_special_poses_give_a_sentence(places, turns, words):

@@ -394,13 +394,15 @@ def test_special_poses_are_told():
     ("places", "angles", "words"),
     [
         ([(0, 0), (10, 20), (35, 22), (50, -9)], (30, 30, 30, 30), "does not turn"),
+        ([(0, 0), (10, 20), (35, 22)], (30, 30, 30), "does not turn"),
         ([(10, 0), (0, 10), (-10, 0), (0, -10)], (0, 90, 180, 270), "turns about one point"),
     ],
 )
 def test_special_poses_among_points_are_told(places, angles, words):
     raw = dict(optlink.load(POSES / "known-0.toml").raw)
     rows = [{"x": f"{x} mm", "y": f"{y} mm", "angle": f"{angle} deg"} for (x, y), angle in zip(places, angles, strict=True)]
-    points = [*rows, ["61 mm", "7 mm"], ["80 mm", "33 mm"]]
+    others = [["61 mm", "7 mm"], ["80 mm", "33 mm"], ["70 mm", "51 mm"], ["33 mm", "60 mm"]]
+    points = [*rows, *others[: 10 - 2 * len(rows)]]
     result = optlink.synthesis.exact(optlink.read({**raw, "requirement": {**raw["requirement"], "points": points}}))
     assert words in result.notes[0]
     assert result.exact_solutions.solutions == ()
