@@ -2,7 +2,7 @@
 
 Every node of the search is the programme of the optimum within a box of the grid, solved from the optimum of the node above it,
 which it divides at the size that lies farthest from the grid. The end of a node is a lower bound for the nodes below it as far as
-its local optimum is the best in its box.
+its local optimum is the best in its box, so no box is discarded before it was searched from other places too.
 """
 
 import heapq
@@ -75,12 +75,16 @@ def read_steps(problem: ProblemFile, rounding: object) -> dict[str, Grid]:
 
 @dataclass(order=True)
 class _Node:
-    """A box of the grid with its optimum; in the order in which nodes are divided."""
+    """A box of the grid with its optimum; in the order in which nodes are divided.
+
+    `above`: the optimum of the node above, until the box was searched from other places.
+    """
 
     key: tuple[float, int]
     low: Array = field(compare=False)
     high: Array = field(compare=False)
     solution: Solution = field(compare=False)
+    above: Solution | None = field(compare=False, default=None)
 
 
 class _Search:
@@ -97,6 +101,7 @@ class _Search:
         )  # the one with the least work from a near start
         self.solved, self.nodes, self.least = 0, 0, math.inf
         self.best: LinkageDesign | None = None
+        self.best_at: tuple[Array, ...] = ()  # its scaled point
         self.tried: dict[tuple[float, ...], LinkageDesign] = {}
         self.evaluated: set[tuple[float, ...]] = set()
         self.complete = True
@@ -111,14 +116,24 @@ class _Search:
     def _nearest(self, sizes: Sequence[float]) -> list[float]:
         return [grid.nearest(size) for grid, size in zip(self.grids.values(), sizes, strict=True)]
 
-    def boxed(self, low: Array, high: Array, start: Solution) -> Solution:
-        """Return the optimum in a box of the grid, near another one or, where none is found, near its middle."""
-        end = self.within(low, high, start)
-        if end.usable:
-            return end
-        x = start.x.copy()
-        x[self.at] = [v.scaled(value) for v, value in zip(self.variables, 0.5 * (low + high), strict=True)]
-        return self.within(low, high, replace(start, x=x))
+    def moved(self, start: Solution, j: int, value: float) -> Array:
+        """Return the scaled point to which a solution moves along its active limits until a size has a value [SI]."""
+        n, k = len(start.x), self.at[j]
+        held = start.nlp.at(start.x, start.p).jacobian[[i - n for i in start.conditions.active if i >= n]]
+        rows = np.vstack([held[np.isfinite(held).all(axis=1)], np.eye(n)[k]])
+        change = np.zeros(len(rows))
+        change[-1] = self.variables[j].scaled(value) - start.x[k]
+        return start.x + np.linalg.lstsq(rows, change, rcond=None)[0]  # type: ignore[no-any-return]
+
+    def elsewhere(self, low: Array, high: Array, above: Solution) -> Solution | None:
+        """Return an optimum in a box of the grid that is better than the best design, searched from other places than `moved`.
+
+        These are the optimum of the node above, the middle of the box, and the best design, each clipped into the box.
+        """
+        middle = above.x.copy()
+        middle[self.at] = [v.scaled(value) for v, value in zip(self.variables, 0.5 * (low + high), strict=True)]
+        ends = (self.within(low, high, replace(above, x=x)) for x in (above.x, middle, *self.best_at))
+        return next((end for end in ends if end.usable and not self._worse(end.objective)), None)
 
     def within(self, low: Array, high: Array, start: Solution) -> Solution:
         """Return the optimum with the sizes between two bounds [SI], near another one."""
@@ -154,6 +169,7 @@ class _Search:
         made = LinkageDesign(self.design.problem, values, angles, checked.objective, Status.ROUNDED, checked)
         self.tried[key] = made
         if made.valid and (self.best is None or made.objective < self.best.objective):
+            self.best_at = (end.x,)
             self.best, self.least = made, math.inf if end is self.top else self.nlp.values(end.x, self.top.p)[0]
         return end.x
 
@@ -193,7 +209,10 @@ class _Search:
                 self.complete = False
                 return
             node = heapq.heappop(open_nodes)
-            if self._worse(node.solution.objective):
+            if not node.solution.usable or self._worse(node.solution.objective):
+                better = node.above and self.elsewhere(node.low, node.high, node.above)
+                if better:
+                    heapq.heappush(open_nodes, _Node((better.objective, next(count)), node.low, node.high, better))
                 continue
             sizes = self.sizes(node.solution)
             shares = [grid.off(value) for grid, value in zip(self.grids.values(), sizes, strict=True)]
@@ -207,9 +226,10 @@ class _Search:
                 box[1 - side][j] = end
                 if not math.isfinite(end) or box[0][j] > box[1][j] + ON_GRID * grid.width(sizes[j]):
                     continue
-                solution = self.boxed(box[0], box[1], node.solution)
-                if solution.usable and not self._worse(solution.objective):
-                    heapq.heappush(open_nodes, _Node((solution.objective, next(count)), box[0], box[1], solution))
+                start = replace(node.solution, x=self.moved(node.solution, j, end))
+                solution = self.within(box[0], box[1], start)
+                bound = solution.objective if solution.usable else math.inf
+                heapq.heappush(open_nodes, _Node((bound, next(count)), box[0], box[1], solution, node.solution))
             if progress:
                 progress(min(1.0, self.solved / most))
 

@@ -151,6 +151,43 @@ def test_a_part_of_the_grid_without_a_design_near_the_start_is_searched_from_its
     assert result.objective == pytest.approx(least, rel=1e-9)
 
 
+ANY_SIZE = """
+title = "Transmission of any size"
+[mechanism]
+type = "four-bar"
+crank = { bounds = ["5 mm", "40 mm"] }
+coupler = { bounds = ["30 mm", "130 mm"] }
+rocker = { bounds = ["20 mm", "120 mm"] }
+frame = { bounds = ["50 mm", "120 mm"] }
+assembly = "left"
+[requirement]
+kind = "transmission"
+[limits]
+swing_angle = "40.3 deg +- 1.5 deg"
+time_ratio = "1.109 +- 0.02"
+"""
+STOCK = {  # mm
+    "crank": [11, 19, 20, 27, 28, 39],
+    "coupler": [42, 62, 75, 97, 105],
+    "rocker": [20, 25, 81, 104, 105, 108],
+    "frame": [91, 107, 118],
+}
+
+
+@pytest.mark.slow
+def test_no_part_of_the_grid_is_discarded_for_one_local_optimum():
+    """All lengths are free, so a box holds the optimum at another scale, and a search of one place may end at a worse one."""
+    sizes = np.meshgrid(*(np.array(stock, dtype=float) for stock in STOCK.values()), indexing="ij")
+    swing, ratio, pressure = crank_rockers(*sizes)
+    meets = (np.abs(np.degrees(swing) - 40.3) <= 1.5) & (np.abs(ratio - 1.109) <= 0.02)
+    problem = optlink.read(ANY_SIZE)
+    found = optlink.solve(problem, starts=1, certify=False)
+    grids = read_steps(problem, {name: [f"{size} mm" for size in stock] for name, stock in STOCK.items()})
+    result = rounded(replace(found, designs=found.designs[:1]), grids)
+    assert result.rounding.whole
+    assert result.objective == pytest.approx(np.min(np.sin(pressure[meets])), rel=1e-9)
+
+
 @pytest.mark.slow
 def test_an_exact_requirement_asks_for_tolerances():
     result = optlink.solve("stroke-crank-rocker", starts=1, rounding="0.1 mm")
