@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import shutil
 import statistics
 import subprocess
@@ -15,7 +14,6 @@ from scipy.optimize import minimize
 from timing import HERE, Row, race
 
 import optlink
-from optlink.optimization import parameters
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build
 from optlink.solvers.contract import BACKENDS
@@ -24,7 +22,6 @@ from optlink.solvers.multistart import solve_from
 Array = NDArray[np.float64]
 
 REPETITIONS = 200
-LENGTHS = 41
 RANDOM_STARTS = 300
 REFERENCE = np.array([412.86542, 232.24617])  # coupler, rocker [mm]
 TIGHT = 1e-11  # ftol that brings SciPy to the optimum from every start at which the objective is defined
@@ -206,40 +203,8 @@ def from_anywhere(nlp: NLP) -> list[Row]:
     return rows
 
 
-def with_other_numbers() -> list[Row]:
-    """Other frame lengths, with a programme that is used again and with one that is built anew for each."""
-    lengths, shift = np.linspace(0.45, 0.55, LENGTHS), itertools.count(1)
-    files = [optlink.load("crank-rocker", {"mechanism.frame": length}) for length in lengths]
-    turn = itertools.cycle(files)
-
-    def anew() -> None:
-        parameters.forget()
-        optlink.solve(next(turn), certify=False)
-
-    def swept() -> None:
-        optlink.sweep("crank-rocker", {"mechanism.frame": lengths + 1e-6 * next(shift)})  # other ones than the last time
-
-    clock = time.process_time
-    taken = race({"anew": anew, "again": lambda: optlink.solve(next(turn), certify=False)}, REPETITIONS // 4, clock=clock)
-    taken["swept"] = race({"swept": swept}, 5, clock=clock)["swept"] / LENGTHS
-    return [
-        Row(
-            what,
-            ms(taken[name]),
-            ms(taken["anew"]),
-            taken["anew"] / taken[name],
-            target,
-            figures={"ours": taken[name], "theirs": taken["anew"]},
-        )
-        for what, name, target in (
-            ("solve with another frame length, against a programme built anew", "again", ">= 1.5"),
-            (f"sweep of {LENGTHS} frame lengths, per point, against programmes built anew", "swept", ">= 2"),
-        )
-    ]
-
-
 def rows() -> list[Row]:
-    """Every comparison of a solve, without the build; and of solves with and without one."""
+    """Every comparison of a solve, without the build."""
     nlp = build(optlink.load("crank-rocker").spec)
     with np.errstate(all="ignore"):  # the plain transcription has no value where no linkage can be assembled
-        return [*from_the_start(nlp), *from_anywhere(nlp), *with_other_numbers()]
+        return [*from_the_start(nlp), *from_anywhere(nlp)]

@@ -1,9 +1,9 @@
 """The numbers of a programme: its scaling, parameters and bounds. Problems that differ in these alone share what is built.
 
 Dimensions are parameters of a programme; bounds of dimensions, and limits of transmission and pressure angles, are bounds of
-its variables and rows. All other numbers are in its formulas, also the unit of length, which the targets or a fixed link have;
-that of a four-bar with a law is a power of two, the same for frames of about one length. A programme that is used again gives
-the same results, to the last digit, as one that is built anew.
+its variables and rows. All other numbers are in its formulas, also the unit of length, which the targets or a fixed link have:
+another frame of a four-bar with a law has other formulas. A programme that is used again gives the same results, to the last
+digit, as one that is built anew.
 """
 
 import dataclasses

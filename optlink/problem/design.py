@@ -585,9 +585,8 @@ class DesignProblem(Problem):
 
     @cached_property
     def size(self) -> float:
-        """Unit of length [m]: the root mean square distance of the points from their centre, of a law that of `LawRequirement`.
-
-        Else it is the longest fixed link; without links that have a length, the largest coordinate.
+        """Unit of length [m]: the root mean square distance of the points from their centre, the travel of a slider, the frame of
+        a four-bar with a law, else the longest fixed link; without links that have a length, the largest coordinate.
         """
         if (size := self.requirement.size(self)) is not None:
             return float(size)

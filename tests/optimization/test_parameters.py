@@ -106,14 +106,13 @@ LIMIT, BOUNDS, CRANK = "limits.transmission_angle", "mechanism.coupler.bounds", 
 
 def test_a_solution_with_other_numbers_is_the_same_to_the_last_digit(crank_rocker):
     changes = [{LIMIT: ["40 deg", "140 deg"]}, {BOUNDS: ["100 mm", "400 mm"]}, {CRANK: "90 mm"}, {LIMIT: ["45 deg", "150 deg"]}]
-    changes += [{"mechanism.frame": "480 mm"}]
     again = [optlink.solve(crank_rocker.override(change), certify=False) for change in changes]
     assert len({id(result.solution.nlp.x_symbol) for result in again}) == 1
     for change, one in zip(changes, again, strict=True):
         parameters.forget()
         other = optlink.solve(crank_rocker.override(change), certify=False)
         assert (one.design, one.objective, one.limits) == (other.design, other.objective, other.limits)
-    assert len({result.objective for result in again}) == len(changes)
+    assert len({result.objective for result in again}) == 4
 
 
 def test_what_is_kept_does_not_change_with_its_use(crank_rocker):
@@ -144,7 +143,7 @@ def test_every_thread_has_its_own_programmes(crank_rocker):
 
 def test_few_programmes_are_kept(crank_rocker, monkeypatch):
     monkeypatch.setattr(parameters, "MOST_KEPT", 2)
-    frames = [crank_rocker.override({"mechanism.frame": f"{length} mm"}).spec for length in (300, 500, 900)]
+    frames = [crank_rocker.override({"mechanism.frame": f"{length} mm"}).spec for length in (480, 490, 500)]
     first = [build(frame).x_symbol for frame in frames]
     assert [build(frame).x_symbol is one for frame, one in zip(reversed(frames), reversed(first), strict=True)] == [
         True,

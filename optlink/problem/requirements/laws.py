@@ -286,16 +286,12 @@ class LawRequirement(Requirement):
         return problem.law.target(offset, tabulated, values[of.start], values.get(of.base, 0.0))
 
     def size(self, problem: Designed) -> float | None:
-        """Return the travel [m] of a slider or a point, else the power of two nearest to the frame of a four-bar.
-
-        Frames of about one length so have programmes of one scaling, and share what is built.
-        """
+        """Return the travel [m] of a slider or a point, else the frame of a four-bar."""
         if self.slides(problem) and (travel := self.travel(problem)) > 0.0:
             return travel
         if problem.four_bar is None:
             return None
-        frame = float(problem.four_bar.lengths(sizes_of(problem.mechanism.quantities))[3])
-        return 2.0 ** round(math.log2(frame)) if frame else None
+        return float(problem.four_bar.lengths(sizes_of(problem.mechanism.quantities))[3]) or None
 
     def unit(self, problem: Designed) -> str:
         """Return the SI unit of a deviation."""
