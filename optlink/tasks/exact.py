@@ -51,7 +51,7 @@ class PosesAndPoints(FiveTargets):
             if same and not (posed[i] and posed[j]):
                 return replace(counts, special=REPEATED_POINT.format(i + 1, j + 1)), ()
         relative = (places - places[0])[posed] / np.max(np.abs(places - places[0]))
-        if (sentence := special(relative, wanted)) and (poses == POSES or (poses > 2 and sentence == TRANSLATED)):
+        if poses > 2 and (sentence := special(relative, wanted)) and (poses == POSES or sentence == TRANSLATED):
             return replace(counts, special=ONE_JOINT if sentence == ONE_CENTRE else sentence), ()
         order = np.argsort(~posed, kind="stable")  # poses first
         found, back = four_bars(places[order], wanted, pivots=pivots), np.argsort(order)
