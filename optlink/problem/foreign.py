@@ -542,6 +542,8 @@ READERS = (
     Reader("", "PMKS+", _pmks),
 )
 """Formats that are read; the first that is recognised counts."""
+SOUGHT = 2000  # characters of a file in which the element of a drawing begins
+READABLE = "Give a path in an SVG file (.svg), a file of Linkage (.linkage2) or pylinkage (.json), or a share link of PMKS+"
 
 
 def problem_text(source: str) -> str:
@@ -564,6 +566,10 @@ def problem_text(source: str) -> str:
 
     text, where = _content(source)
     reader = next(reader for reader in READERS if re.match(reader.pattern, text))
+    drawn = re.match(r"(?s)(<\?.*?\?>|<!--.*?-->|<!DOCTYPE.*?>|\s)*<(\w+:)?svg\b", text[:SOUGHT])
+    if where and (drawn or (not reader.pattern and not re.fullmatch(r"[!-~]+", text))):
+        message = "a drawing whose name does not end with .svg" if drawn else "neither a drawing nor a linkage of another program"
+        raise InputError(message, "Rename it to end with .svg" if drawn else READABLE, where)
     where = where or f"{reader.program} link"
     try:
         tables = reader.read(text).tables(f"Linkage from {reader.program}")
@@ -579,7 +585,7 @@ def problem_text(source: str) -> str:
 def _content(source: str) -> tuple[str, str]:
     """Return the text of a source, and the name of its file."""
     if not os.path.isfile(source):
-        if source.endswith((".linkage2", ".json", ".txt")):
+        if re.search(r"^[^?=]*\.[A-Za-z]+2?$", source):
             raise InputError("no such file", "Check the path", source)
         return source.strip(), ""
     if os.path.getsize(source) > LARGEST:

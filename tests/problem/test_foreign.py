@@ -318,7 +318,7 @@ REFUSED = {
     PLAIN.replace('rpm="-20', 'rpm="twenty'): '"twenty.000000" is not a number',
     '<!DOCTYPE a [<!ENTITY b "c">]>' + PLAIN: "the file has a document type, and those of Linkage have none",
     PLAIN[:-20]: "the file is damaged: unclosed token",
-    "<svg/>": "not a file of Linkage: it begins with <svg>",
+    "<html/>": "not a file of Linkage: it begins with <html>",
     BUILT.replace('"Revolute"', '"Prismatic"'): "C: Prismatic is not supported, or a parent of it is missing",
     BUILT.replace('"ref": "D"', '"ref": "Z"'): "C: joints have no parents in the file",
     re.sub(r'"distance0": [\d.]+', '"distance0": 9.0', BUILT): "C: the distances of this joint do not reach its place",
@@ -340,9 +340,26 @@ def test_what_is_not_read_is_refused_by_name(text, tmp_path):
 def test_a_file_that_is_missing_or_too_large_is_refused(tmp_path):
     with pytest.raises(optlink.InputError, match=r"drawn\.linkage2: no such file\. Check the path"):
         problem_text(str(tmp_path / "drawn.linkage2"))
+    with pytest.raises(optlink.InputError, match=r"photo\.jpg: no such file\. Check the path"):
+        problem_text("photo.jpg")
     (tmp_path / "drawn.linkage2").write_text(" " * 1_000_001)
     with pytest.raises(optlink.InputError, match=r"the file has more than 1000000 bytes"):
         problem_text(str(tmp_path / "drawn.linkage2"))
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"\x89PNG\r\n\x1a\n\0\0", "neither a drawing nor a linkage of another program. Give a path in an SVG file"),
+        (b"My linkage, drawn in June", "neither a drawing nor a linkage of another program. Give a path in an SVG file"),
+        (b'<?xml version="1.0"?>\n<!-- foot -->\n<svg xmlns="http://www.w3.org/2000/svg"/>', "does not end with .svg. Rename it"),
+    ],
+)
+def test_a_file_that_is_no_linkage_is_told_what_is_read(content, says, tmp_path):
+    file = tmp_path / "foot.pdf"
+    file.write_bytes(content)
+    with pytest.raises(optlink.InputError, match=re.escape(says)):
+        problem_text(str(file))
 
 
 VALUES = ["0", "1e400", "-1e308", "1e-320", "9" * 400, "NaN", "null", "[]", "{}", "true", "A", "link_1", "frame", "C", "1e7", "é"]
