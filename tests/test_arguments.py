@@ -74,6 +74,7 @@ ACCEPTED = {
     optlink.limit: {"unit": "deg", "max": 45.0},
     optlink.report: {"source": MACHINE, "file": "page.html"},
     optlink.export: {"source": MACHINE, "file": "drawing.svg"},
+    optlink.rename: {"problem": MACHINE, "old": "B", "new": "pin"},
 }
 """Every public function with arguments that it accepts."""
 WRONG = {

@@ -22,8 +22,8 @@ PUBLIC = {
     "optlink": """
         Analysis AnyProblem Balance BatchAnalysis DesignResult Document Execution InputError LinkageDesign OptlinkError
         ProblemFile Programme Result Simulation SolverError Status SynthesisResult UnknownName
-        analyze analyze_batch balance build explore export gradient hessian load motion new read read_design read_result report
-        shipped simulate
+        analyze analyze_batch balance build explore export gradient hessian load motion new read read_design read_result rename
+        report shipped simulate
         limit objective solve sweep validate
         control extending linkage studies style synthesis testing
     """,

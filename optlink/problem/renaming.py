@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from optlink.errors import InputError
+from optlink.errors import InputError, given_as
 from optlink.linkage.bodies import FRAME
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import NAME, RESERVED
@@ -91,7 +91,8 @@ def rename(problem: AnyProblem, old: str, new: str) -> ProblemFile:
     'ram'
     """
     problem = problem_of(problem)
-    return problem.with_tables(tomllib.loads(renamed(dump(problem), problem, old, new)))
+    with given_as(problem.file, *(("new", new) if old in own_names(problem) else ("old", old))):
+        return problem.with_tables(tomllib.loads(renamed(dump(problem), problem, old, new)))
 
 
 def renamed(text: str, problem: ProblemFile, old: str, new: str) -> str:

@@ -5,6 +5,7 @@ import math
 import weakref
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -33,13 +34,20 @@ MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are i
 
 
 def moved(problem: AnyProblem) -> ProblemFile:
-    """Return the problem of a machine that is moved: a fixed design whose crank only swings gets the range of its requirement."""
+    """Return the problem of a machine that is moved.
+
+    A fixed design whose crank only swings gets the range of its requirement if the file starts its drive where that begins.
+    """
     problem = problem_of(problem)
-    model = problem.model
-    if not getattr(model, "parts", ()) or model.free or model.limits.crank != "span":  # type: ignore[attr-defined]
+    model: Any = problem.model
+    fixed = getattr(model, "parts", ()) and not model.free and model.limits.crank == "span"
+    if not fixed or "start" not in model.drive.model_fields_set:
         return problem
     task = importlib.import_module("optlink.tasks.run").design_task(problem)  # whose results move machines
-    return task.validate(problem, {}).machine or problem
+    machine: ProblemFile | None = task.validate(problem, {}).machine
+    if machine is None or abs(machine.model.drive.start.value - model.drive.start.value) > SAME_RANGE:
+        return problem
+    return machine
 
 
 def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machine | None:
