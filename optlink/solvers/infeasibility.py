@@ -104,7 +104,7 @@ class Limit:
 def limit_sides(nlp: NLP) -> list[LimitSide]:
     """Return every side of every limit that can conflict; rows of one number of the problem file and one side are combined.
 
-    Limits at zero are conditions: those of one key are told apart by their labels.
+    Limits at zero are conditions: each label of one key is a side of its own.
 
     Bounds of variables without influence on any limit are left out, as are bounds of an angle over a full revolution.
     """
